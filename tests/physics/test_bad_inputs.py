@@ -10,6 +10,7 @@ from rewax.physics import coupling, mpm, shapes, tets
 from rewax.physics.contact import Collider, Ground, PenaltyContact, drawings, with_softness
 from rewax.physics.coupling import Inertia, bodies_at_rest, inertia_of, solid
 from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Newtonian, Wall, Walls
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Capsule, HeightField, SampledDistance, Sphere
 from rewax.physics.tets import TetMesh, tetmesh
 
@@ -20,6 +21,8 @@ MESH = tetmesh.box((0.2, 0.2, 0.2), (1, 1, 1))
 CONTACT = PenaltyContact(stiffness=1e3)
 BALL, KEY = Sphere(radius=0.1), jax.random.key(0)
 X = np.full((4, 3), 0.3)
+BATCH = jax.tree.map(lambda a: np.stack([a, a]), mpm.initial_state(X))
+OF_A_BATCH = "state.x has shape (2, 4, 3): give shape (num_particles, 3) (map batches with jax.vmap)"
 
 
 def scene(**changes):
@@ -191,6 +194,15 @@ TABLE = [
     (lambda: mpm.check_status(scene(), None), "state is None: give a state of mpm.initial_state or mpm.step"),
     (lambda: mpm.check_status(scene(), mpm.initial_state(X), poses=1), "poses is 1: give a Pose, or None"),
     (lambda: mpm.check_placement(scene(), mpm.initial_state(X), tolerance="deep"), "tolerance is 'deep', which is no"),
+    (lambda: step(state=BATCH), OF_A_BATCH),
+    (lambda: mpm.substep(scene(), BATCH, *[Pose(np.zeros((0, 3)), np.zeros((0, 3, 3)))] * 2), OF_A_BATCH),
+    (lambda: mpm.step_with_touch(scene(), BATCH, mpm.static_poses(2), {}), OF_A_BATCH),
+    (lambda: mpm.check_status(scene(), BATCH), OF_A_BATCH),
+    (lambda: mpm.deform(scene(), BATCH), OF_A_BATCH),
+    (lambda: coupled(state=BATCH), OF_A_BATCH),
+    (lambda: step(state=BATCH.replace(x=X, v=X)), "state.C has shape (2, 4, 3, 3): give shape (num_particles, 3, 3)"),
+    (lambda: step(state=mpm.initial_state(X).replace(memory=X[:2])), "state.memory has shape (2, 3): give shape (num"),
+    (lambda: step(scene=scene(particle_volume=[1e-4] * 3)), "particle_volume has 3 entries, but there are 4 particles"),
     (lambda: mpm.static_poses(-2), "num_substeps is -2: give the number of substeps"),
     (lambda: mpm.static_poses(2, 1.5), "num_bodies is 1.5: give the number of bodies"),
     (

@@ -18,14 +18,14 @@ from rewax.physics.coupling.particle_contact import (
 )
 from rewax.physics.coupling.triangle_tree import TriangleTree
 from rewax.physics.mpm import stepping as mpm_stepping
-from rewax.physics.mpm.scene import MPMScene, MPMState, materials_of, particle_mass
+from rewax.physics.mpm.scene import MPMScene, MPMState, check_state, materials_of, particle_mass
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import thin_status
 from rewax.physics.thin.grasps import Grasp
-from rewax.physics.thin.scene import ThinScene, ThinState
+from rewax.physics.thin.scene import ThinScene, ThinState, check_vertices
 from rewax.physics.thin.stable_dt import STABLE_FRACTION, largest_stable_dt
 from rewax.status import Status, flag
 from rewax.types import Array, Scalar, Vector
@@ -220,6 +220,8 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
+    check_state(scene.particles, state.particles)
+    check_vertices(scene.thin, state.thin)
     scene, state = jax.lax.stop_gradient((scene, state))
     particles, vertices = ((cp.split_vector(s.x), cp.split_vector(s.v)) for s in (state.particles, state.thin))
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles[0], vertices[0])

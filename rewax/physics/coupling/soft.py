@@ -9,6 +9,7 @@ from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
+from rewax.physics.mpm.scene import check_state as check_particles
 from rewax.physics.mpm.stepping import nodes_of_step
 from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.substeps import scan_substeps
@@ -110,12 +111,16 @@ _STATES = {MPMScene: MPMState, TetScene: TetState, ThinScene: ThinState, MixedSc
 
 
 def check_state(scene: Scene, state: Any) -> None:
-    """Raises ValueError for the state of another solver than the scene's."""
+    """Raises ValueError for the state of another solver than the scene's, and for arrays that do not fit the scene."""
     want = next(state for kind, state in _STATES.items() if isinstance(scene, kind))
     if not isinstance(state, want):
         raise ValueError(
             f"state is a {type(state).__name__}, but scene a {type(scene).__name__}: give a {want.__name__}"
         )
+    if isinstance(scene, MPMScene):
+        check_particles(scene, state)
+    elif isinstance(scene, MixedScene):
+        check_particles(scene.particles, state.particles)
 
 
 def prescribed_of(scene: Scene, state: Any, pins: Any, grips: Any, num_substeps: int, num_bodies: int) -> Prescribed:

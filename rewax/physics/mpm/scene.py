@@ -18,6 +18,7 @@ from rewax.physics.mpm.material_checks import MATERIAL
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
     VOLUME,
+    check_arrays,
     check_box,
     check_count,
     check_lengths,
@@ -319,8 +320,8 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
       ValueError: particles lie outside the box or inside a collider; the message names the collider and the depth. Not
         for use inside ``jit``.
     """
+    check_state(scene, state)
     check_box(scene.grid, state.x)
-    _check_count(scene, state.x.shape[0])
     if bodies is not None:
         check_bodies(scene.colliders, len(bodies.position))
     tolerance = 0.5 * scene.grid.spacing if tolerance is None else tolerance
@@ -354,6 +355,12 @@ def has_invalid_parameters(scene: MPMScene, poses: Pose | None = None) -> Array:
         limit = (1.0 + 1e-5) * largest_stable_dt(material, scene.grid)
         invalid = invalid | ~jnp.all(scene.dt <= limit)
     return invalid
+
+
+def check_state(scene: MPMScene, state: MPMState) -> None:
+    """Raises ValueError unless the arrays of a state have the right shapes and the scene fits their number."""
+    check_arrays(state)
+    _check_count(scene, state.x.shape[0])
 
 
 def _initial_memory(scene: MPMScene, x: Array) -> Array | None:

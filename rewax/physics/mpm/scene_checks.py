@@ -11,7 +11,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
-from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, shown, static_integer
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, fits, shown, static_integer
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Array
 
@@ -87,6 +87,18 @@ def check_count(materials: tuple[Material, ...], counts: Counts, particle_volume
     check_lengths(materials, counts, particle_volume, num_particles)
 
 
+def check_arrays(state: Any) -> None:
+    """Raises ValueError unless the arrays of a state of particles have the shapes that ``MPMState`` says."""
+    count = np.shape(state.x)[:1]
+    for name, axes in (("x", (3,)), ("v", (3,)), ("C", (3, 3)), ("F", (3, 3)), ("memory", ("k",))):
+        if name == "memory" and state.memory is None:
+            continue
+        shape = np.shape(getattr(state, name))
+        if not fits(shape, (*count, *axes)):
+            want = ", ".join(map(str, ("num_particles", *axes)))
+            raise ValueError(f"state.{name} has shape {shape}: give shape ({want}) (map batches with jax.vmap)")
+
+
 def check_box(grid: Grid, x: Array) -> None:
     """Raises ValueError for particles outside the box. Traced positions are not checked."""
     if isinstance(x, Tracer):
@@ -125,6 +137,7 @@ def _check_length(name: str, value: Any, length: int | None, vectors: bool = Fal
 
 __all__ = [
     "Counts",
+    "check_arrays",
     "check_box",
     "check_count",
     "check_lengths",

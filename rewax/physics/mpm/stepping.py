@@ -30,6 +30,7 @@ from rewax.physics.mpm.scene import (
     MPMScene,
     MPMState,
     check_placement,
+    check_state,
     has_invalid_parameters,
     initial_state,
     largest_stable_dt,
@@ -74,6 +75,7 @@ def substep(
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
     """
+    check_state(scene, state)
     check_bodies(scene.colliders, before.position.shape[0])
     nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
     return join(_recomputed_substep(scene, nodes, split(state), place(scene.colliders, before, after, scene.dt)))
@@ -94,6 +96,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 
     Gradient: exact, as for ``substep``.
     """
+    check_state(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
     check_precision(state.x, scene.gravity, poses.position)
     nodes = nodes_of_step(scene, state.x)
@@ -132,6 +135,8 @@ def check_status(
             f"start is None with a scene of max_active_nodes {scene.max_active_nodes}: give the particles at the "
             "beginning of the step, check_status(scene, state, start=before), to tell whether these nodes sufficed"
         )
+    for given in (state,) if start is None else (state, start):
+        check_state(scene, given)
     state = jax.lax.stop_gradient(state)
     lower, upper = _bounds(scene.grid, state.x.dtype)
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))
@@ -182,6 +187,7 @@ class DeformedParticles(NamedTuple):
 
 def respond_particles(scene: MPMScene, state: MPMState) -> DeformedParticles:
     """Return map and stress of all particles. Gradient: exact."""
+    check_state(scene, state)
     response = per_material(scene, _response, unpack(split(state)))
     return DeformedParticles(cp.join_matrix(response.F), cp.join_matrix(response.stress), response.memory)
 

@@ -16,7 +16,7 @@ from rewax.physics.contact.motion import Placed
 from rewax.physics.contact.patches import WALLS, feels_walls, felt
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.packing import join, split
-from rewax.physics.mpm.scene import SCENE, STATE, MPMScene, MPMState
+from rewax.physics.mpm.scene import SCENE, STATE, MPMScene, MPMState, check_state
 from rewax.physics.mpm.stepping import colliders_at, free_velocity, from_nodes, nodes_of_step, to_nodes, where_mass
 from rewax.physics.mpm.transfer import GridFields
 from rewax.physics.mpm.walls import apply_walls
@@ -48,6 +48,7 @@ def step_with_touch(
     Raises:
       ValueError: a patch belongs to a body that has no pose.
     """
+    check_state(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
     check_precision(state.x, scene.gravity, poses.position)
     nodes = nodes_of_step(scene, state.x)
