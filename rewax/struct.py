@@ -57,9 +57,10 @@ def number(
 def dataclass(cls: type[T]) -> type[T]:
     """Decorator: a frozen, keyword-only dataclass that is a JAX pytree and has ``.replace(**changes)``.
 
-    The constructor converts numbers, tuples and lists of numbers, and NumPy arrays of floats to JAX arrays. A single
-    number becomes weakly typed, so it does not promote other types. ``__post_init__`` runs in the constructor, but not
-    when JAX rebuilds a tree. ``repr`` prints long arrays by type and shape.
+    The constructor converts numbers, tuples and lists of numbers, and NumPy arrays of floats to JAX arrays. Tuples in
+    fields of ``number`` may also hold JAX arrays of shape (), known or traced. A single number becomes weakly typed, so
+    it does not promote other types. ``__post_init__`` runs in the constructor, but not when JAX rebuilds a tree.
+    ``repr`` prints long arrays by type and shape.
 
     It does not use ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): in jaxlib 0.10.1 the tree
     structures of two classes compare equal if their fields have the same names, and ``jit`` sometimes runs the program
@@ -113,9 +114,12 @@ def _convert_first(cls: Any) -> None:
 def _as_leaf(value: Any, is_real: bool) -> Any:
     """Converts numbers to JAX arrays; tuples, and integers of real fields, become floats. Returns others unchanged."""
     if isinstance(value, (tuple, list)):
-        if not value or not _all_numbers(value):
+        if not value or not _all_numbers(value, with_arrays=is_real):
             return value
         try:
+            if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
+                array = jnp.asarray(value)
+                return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
             return _as_array(np.asarray(value, float))
         except ValueError:  # rows of several lengths: checks name the field
             return value
@@ -141,10 +145,18 @@ def _as_array(value: np.ndarray | np.generic) -> jax.Array:
     return jnp.asarray(np.array(value, dtype), dtype)  # a copy, because JAX may share the memory
 
 
-def _all_numbers(values: Any) -> bool:
-    return all(
-        isinstance(v, numbers.Real) or (isinstance(v, (tuple, list)) and len(v) > 0 and _all_numbers(v)) for v in values
-    )
+def _all_numbers(values: Any, *, with_arrays: bool) -> bool:
+    """Whether nested tuples and lists hold numbers only, and with ``with_arrays`` real JAX arrays of shape ()."""
+
+    def is_number(v: Any) -> bool:
+        if isinstance(v, (tuple, list)):
+            return len(v) > 0 and _all_numbers(v, with_arrays=with_arrays)
+        if isinstance(v, jax.Array):
+            real = jnp.issubdtype(v.dtype, jnp.floating) or jnp.issubdtype(v.dtype, jnp.integer)
+            return with_arrays and v.ndim == 0 and real
+        return isinstance(v, numbers.Real)
+
+    return all(is_number(v) for v in values)
 
 
 def replace_leaf(tree: Any, path: str, value: Any) -> Any:

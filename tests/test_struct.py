@@ -62,6 +62,20 @@ class Ball:
         assert isinstance(self.gain, jax.Array), "checks see arrays"
 
 
+def test_tuples_of_numbers_and_traced_numbers_become_leaves():
+    w = jnp.float32(0.5)
+    for value in ((w, 2, 3), [w, np.float32(2), 3.0], (w, jnp.int32(2), w + 2.5)):
+        center = Ball(radius=1.0, center=value).center
+        assert center.dtype == jnp.float32
+        np.testing.assert_array_equal(center, [0.5, 2.0, 3.0])
+    np.testing.assert_array_equal(Ball(radius=((1, w), (w, 2))).radius, [[1.0, 0.5], [0.5, 2.0]])
+    slope = jax.jit(jax.grad(lambda w: jnp.sum(Ball(radius=1.0, center=(w, 0.0, w * w)).center)))(0.5)
+    assert slope == 2.0
+    assert Ball(radius=(1, jnp.int32(2))).radius.dtype == jnp.float32
+    for value in ((w, jnp.ones(2)), (w, "big"), (w, jnp.bool_(True))):
+        assert Ball(radius=value).radius is value, "checks name the field"
+
+
 def test_numbers_become_leaves():
     ball = Ball(radius=2)
     assert (ball.radius.dtype, ball.radius.weak_type, ball.gain.dtype) == (jnp.float32, True, jnp.float32)

@@ -103,7 +103,7 @@ def check_numbers(numbers: Iterable[Number]) -> None:
     """
     for number in numbers:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(number.value)):
-            array = jnp.asarray(number.value)
+            array = _traced_array(number)
         else:
             array = _real_array(number)
             holds = number.legal.holds(array)
@@ -197,6 +197,13 @@ def _real_array(number: Number) -> np.ndarray:
     if not jnp.issubdtype(array.dtype, jnp.number) or np.iscomplexobj(array):
         raise ValueError(f"{number.name} is {shown(number.value)}, which is no real number: {number.remedy}")
     return array
+
+
+def _traced_array(number: Number) -> Array:
+    try:
+        return jnp.asarray(number.value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{number.name} is {shown(number.value)}, which is no array: {number.remedy}") from error
 
 
 def as_array(value: Any) -> np.ndarray:

@@ -95,6 +95,15 @@ def test_shapes_are_known_of_traced_numbers_too():
         jax.jit(build)(jnp.ones(2))
 
 
+def test_traced_numbers_that_are_no_array_are_refused():
+    def check(w):
+        check_number("weights", (w, (1.0, 2.0)), FINITE, "give three numbers")
+        return w
+
+    with pytest.raises(ValueError, match=r"^weights is \(.*, which is no array: give three numbers"):
+        jax.grad(check)(0.5)
+
+
 def test_static_numbers_and_counts():
     assert static_number("dt", jnp.float32(0.5), POSITIVE, "") == 0.5
     with pytest.raises(ValueError, match=r"^dt is traced, but is part of the compiled program"):
