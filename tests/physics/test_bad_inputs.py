@@ -21,6 +21,11 @@ MESH = tetmesh.box((0.2, 0.2, 0.2), (1, 1, 1))
 CONTACT = PenaltyContact(stiffness=1e3)
 BALL, KEY = Sphere(radius=0.1), jax.random.key(0)
 X = np.full((4, 3), 0.3)
+NO_BODIES = Pose(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+OTHER = tets.initial_state(X)
+OF_ANOTHER_MESH = (
+    "state.x has shape (4, 3), but the scene has 8 vertices: give shape (8, 3) (map batches with jax.vmap)"
+)
 BATCH = jax.tree.map(lambda a: np.stack([a, a]), mpm.initial_state(X))
 OF_A_BATCH = "state.x has shape (2, 4, 3): give shape (num_particles, 3) (map batches with jax.vmap)"
 
@@ -195,7 +200,7 @@ TABLE = [
     (lambda: mpm.check_status(scene(), mpm.initial_state(X), poses=1), "poses is 1: give a Pose, or None"),
     (lambda: mpm.check_placement(scene(), mpm.initial_state(X), tolerance="deep"), "tolerance is 'deep', which is no"),
     (lambda: step(state=BATCH), OF_A_BATCH),
-    (lambda: mpm.substep(scene(), BATCH, *[Pose(np.zeros((0, 3)), np.zeros((0, 3, 3)))] * 2), OF_A_BATCH),
+    (lambda: mpm.substep(scene(), BATCH, NO_BODIES, NO_BODIES), OF_A_BATCH),
     (lambda: mpm.step_with_touch(scene(), BATCH, mpm.static_poses(2), {}), OF_A_BATCH),
     (lambda: mpm.check_status(scene(), BATCH), OF_A_BATCH),
     (lambda: mpm.deform(scene(), BATCH), OF_A_BATCH),
@@ -236,6 +241,15 @@ TABLE = [
     ),
     (lambda: tets.initial_state(None), "x is None, but must be finite: give positions in metres"),
     (lambda: tets.step(body(), None, mpm.static_poses(2)), "state is None: give a state of tets.initial_state or tets"),
+    (lambda: tets.step(body(), OTHER, mpm.static_poses(2)), OF_ANOTHER_MESH),
+    (lambda: tets.substep(body(), OTHER, NO_BODIES, NO_BODIES), OF_ANOTHER_MESH),
+    (lambda: tets.step_with_touch(body(), OTHER, mpm.static_poses(2), {}), OF_ANOTHER_MESH),
+    (lambda: tets.internal_force(body(), OTHER), OF_ANOTHER_MESH),
+    (lambda: tets.contact_force(body(), OTHER, NO_BODIES, NO_BODIES), OF_ANOTHER_MESH),
+    (lambda: tets.elastic_energy(body(), OTHER), OF_ANOTHER_MESH),
+    (lambda: tets.check_status(body(), OTHER), OF_ANOTHER_MESH),
+    (lambda: tets.deformation_gradient(body(), OTHER.x), OF_ANOTHER_MESH.removeprefix("state.")),
+    (lambda: coupled(scene=body(), state=OTHER), OF_ANOTHER_MESH),
     (lambda: tetmesh.box(1.0, (1, 1, 1)), "size has shape (): give an array of shape (3,)"),
     (lambda: tetmesh.box((1, 1, 1), 2), "counts is 2: give the numbers of cells along x, y and z, each at least 1"),
     (lambda: tetmesh.box((1, 1, 1), (1, 1, 1.5)), "counts[2] is 1.5: give the numbers of cells along x, y and z"),

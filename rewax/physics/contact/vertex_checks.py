@@ -27,6 +27,17 @@ def gravity_number(gravity: Any) -> Number:
     return Number("gravity", gravity, FINITE, GRAVITY, (3,))
 
 
+def check_vectors(num_vertices: int, **vectors: Any) -> None:
+    """Raises ValueError for arrays over vertices that belong to another mesh or to a batch of states."""
+    want = (num_vertices, 3)
+    for name, value in vectors.items():
+        if np.shape(value) != want:
+            raise ValueError(
+                f"{name} has shape {np.shape(value)}, but the scene has {num_vertices} vertices: give shape {want} "
+                "(map batches with jax.vmap)"
+            )
+
+
 def check_length(number: Number, length: int) -> None:
     """Raises ValueError for values that are neither one number nor one for each of ``length`` elements."""
     shape = np.shape(number.value)
@@ -71,4 +82,6 @@ def held_indices(held: Any, num_vertices: int, name: str = "held") -> np.ndarray
     return held
 
 
-__all__ = ["check_dt", "check_has_law", "check_length", "contact_numbers", "gravity_number", "held_indices"]
+__all__ = [
+    "check_dt", "check_has_law", "check_length", "check_vectors", "contact_numbers", "gravity_number", "held_indices",
+]  # fmt: skip

@@ -13,7 +13,7 @@ from rewax.physics.mpm.scene import check_state as check_particles
 from rewax.physics.mpm.stepping import nodes_of_step
 from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.substeps import scan_substeps
-from rewax.physics.tets.scene import TetScene, TetState
+from rewax.physics.tets.scene import TetScene, TetState, check_vertices
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
@@ -119,6 +119,8 @@ def check_state(scene: Scene, state: Any) -> None:
         )
     if isinstance(scene, MPMScene):
         check_particles(scene, state)
+    elif isinstance(scene, TetScene):
+        check_vertices(scene, state)
     elif isinstance(scene, MixedScene):
         check_particles(scene.particles, state.particles)
 

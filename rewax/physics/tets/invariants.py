@@ -4,13 +4,14 @@ import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.tets.law import energy_density
-from rewax.physics.tets.scene import TetScene, TetState
+from rewax.physics.tets.scene import TetScene, TetState, check_vertices
 from rewax.physics.tets.stepping import deformation, rest
 from rewax.types import Array
 
 
 def elastic_energy(scene: TetScene, state: TetState) -> Array:
     """Elastic energy [J], shape (); zero at rest without activation. Gradient: exact."""
+    check_vertices(scene, state)
     F = deformation(scene, rest(scene), cp.split_vector(state.x))
     return jnp.sum(scene.rest_volume * energy_density(F, scene.mu, scene.lam, scene.activation))
 

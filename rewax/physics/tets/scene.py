@@ -13,6 +13,7 @@ from rewax.physics.contact.vertex_checks import (
     check_dt,
     check_has_law,
     check_length,
+    check_vectors,
     contact_numbers,
     gravity_number,
     held_indices,
@@ -97,6 +98,11 @@ class TetScene(struct.Replaceable):
     def tets(self) -> np.ndarray:
         """The four vertices of each tet, int32 of shape (num_tets, 4)."""
         return self.topology.tets
+
+
+def check_vertices(scene: TetScene, state: TetState) -> None:
+    """Raises ValueError for a state with another number of vertices than the scene."""
+    check_vectors(scene.topology.num_vertices, **{"state.x": state.x, "state.v": state.v})
 
 
 SCENE = instance(TetScene, "give a scene of tets.make_scene")

@@ -17,6 +17,7 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.patches import WALLS
 from rewax.physics.contact.penalty import collider_force, ground_force
+from rewax.physics.contact.vertex_checks import check_vectors
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.components import Mat3, Vec3
@@ -25,7 +26,7 @@ from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import DampingLaw, first_piola_stress
-from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, has_invalid_parameters
+from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, check_vertices, has_invalid_parameters
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
@@ -58,6 +59,7 @@ def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetS
       the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
     Source: the soft meshes of NVIDIA Warp's semi-implicit integrator. Deviation: damping, see ``law``.
     """
+    check_vertices(scene, state)
     check_bodies(scene.colliders, before.position.shape[0])
     return join(_recomputed_substep(scene, rest(scene), split(state), (before, after)))
 
@@ -76,6 +78,7 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
 
     Gradient: exact, as for ``substep``.
     """
+    check_vertices(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
     check_precision(state.x, scene.gravity, poses.position)
     constants = rest(scene)
@@ -93,17 +96,20 @@ def internal_force(scene: TetScene, state: TetState) -> Array:
 
     Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
+    check_vertices(scene, state)
     return cp.join_vector(vertex_forces(scene, rest(scene), *split(state)))
 
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
+    check_vertices(scene, state)
     return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
 
 
 def deformation_gradient(scene: TetScene, x: Array) -> Array:
     """Deformation gradient of each tet [-], shape (num_tets, 3, 3); det F < 0 where inverted. Gradient: exact."""
+    check_vectors(scene.topology.num_vertices, x=x)
     return cp.join_matrix(deformation(scene, rest(scene), cp.split_vector(x)))
 
 
@@ -119,6 +125,7 @@ def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None)
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
+    check_vertices(scene, state)
     state = jax.lax.stop_gradient(state)
     inverted = jnp.any(cp.det(deformation(scene, rest(scene), cp.split_vector(state.x))) <= 0)
     return (

@@ -14,7 +14,7 @@ from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.substeps import both_ends
-from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState
+from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, check_vertices
 from rewax.physics.tets.stepping import (
     Rest,
     Vertices,
@@ -46,6 +46,7 @@ def step_with_touch(
     Raises:
       ValueError: a patch belongs to a body that has no pose.
     """
+    check_vertices(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
     check_precision(state.x, scene.gravity, poses.position)
     constants = rest(scene)

@@ -12,7 +12,7 @@ from rewax import struct
 from rewax.physics.contact.colliders import COLLIDERS, Collider
 from rewax.physics.contact.contact_checks import check_ground, check_rotations
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_indices
+from rewax.physics.contact.vertex_checks import check_dt, check_has_law, check_vectors, held_indices
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
@@ -130,12 +130,7 @@ class ThinScene(struct.Replaceable):
 
 def check_vertices(scene: ThinScene, state: ThinState) -> None:
     """Raises ValueError for a state with another number of vertices than the scene."""
-    want = (scene.topology.triangles.num_vertices, 3)
-    for name, value in (("x", state.x), ("v", state.v)):
-        if jnp.shape(value) != want:
-            raise ValueError(
-                f"state.{name} has shape {jnp.shape(value)}, but the scene has {want[0]} vertices: give shape {want}"
-            )
+    check_vectors(scene.topology.triangles.num_vertices, **{"state.x": state.x, "state.v": state.v})
 
 
 SCENE = instance(ThinScene, "give a scene of thin.make_scene")
