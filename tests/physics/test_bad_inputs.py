@@ -22,6 +22,7 @@ CONTACT = PenaltyContact(stiffness=1e3)
 BALL, KEY = Sphere(radius=0.1), jax.random.key(0)
 X = np.full((4, 3), 0.3)
 NO_BODIES = Pose(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+WITHOUT_A_POSE = "collider 0 belongs to body 0, but there are poses of 0 bodies: give poses to all bodies"
 OTHER = tets.initial_state(X)
 OF_ANOTHER_MESH = (
     "state.x has shape (4, 3), but the scene has 8 vertices: give shape (8, 3) (map batches with jax.vmap)"
@@ -148,6 +149,14 @@ TABLE = [
     ),
     (lambda: with_softness(None, 0.1), "colliders is None: give a tuple of colliders"),
     (lambda: with_softness((), 0.0), "spacing is 0.0, but must be positive: give the grid's spacing in metres"),
+    (lambda: drawings(collider().colliders, NO_BODIES), WITHOUT_A_POSE),
+    (lambda: mpm.check_status(collider(), mpm.initial_state(X), poses=mpm.static_poses(2)), WITHOUT_A_POSE),
+    (
+        lambda: tets.contact_force(
+            body(contact=CONTACT, colliders=collider().colliders), tets.initial_state(MESH.vertices), *[NO_BODIES] * 2
+        ),
+        WITHOUT_A_POSE,
+    ),
     (lambda: drawings((), None), "bodies is None: give a Pose, static_poses(num_substeps) for no bodies"),
     (lambda: shapes.sample_box(0, (0, 0, 0), (1, 1, 1), 3), "key is 0: give a PRNG key, jax.random.key(0)"),
     (lambda: shapes.sample_box(KEY, (0, 0), (1, 1, 1), 3), "center has shape (2,): give an array of shape (3,)"),

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import COLLIDERS, Collider, shape_pose
+from rewax.physics.contact.colliders import COLLIDERS, Collider, check_bodies, shape_pose
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 
@@ -20,6 +20,7 @@ def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]
         which computes triangles from distances.
       bodies: poses of the bodies that carry them, shapes (num_bodies, 3), (num_bodies, 3, 3).
     """
+    check_bodies(colliders, bodies.position.shape[0])
     found = []
     for collider in colliders:
         pose = shape_pose(collider, body_pose(bodies, collider.body))

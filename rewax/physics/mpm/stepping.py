@@ -137,6 +137,8 @@ def check_status(
         )
     for given in (state,) if start is None else (state, start):
         check_state(scene, given)
+    if poses is not None:
+        check_bodies(scene.colliders, poses.position.shape[-2])
     state = jax.lax.stop_gradient(state)
     lower, upper = _bounds(scene.grid, state.x.dtype)
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))

@@ -104,6 +104,7 @@ def internal_force(scene: TetScene, state: TetState) -> Array:
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
     check_vertices(scene, state)
+    check_bodies(scene.colliders, before.position.shape[0])
     return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
 
 

@@ -120,13 +120,18 @@ def checked_grips(scene: "ThinScene", holds: Any, grips: Any, num_substeps: int,
         raise ValueError(
             f"state.holds has {len(holds)} entries, but the scene has {count} grasps: begin with thin.open_grasps"
         )
-    for i, grasp in enumerate(scene.grasps):
+    check_grasp_bodies(scene.grasps, num_bodies)
+    return None if not count else jnp.broadcast_to(jnp.asarray(grips, holds[0].share.dtype), (num_substeps, count))
+
+
+def check_grasp_bodies(grasps: tuple[Grasp, ...], num_bodies: int) -> None:
+    """Raises ValueError if the body of a grasp has no pose (JAX would clamp the index silently)."""
+    for i, grasp in enumerate(grasps):
         if grasp.body >= num_bodies:
             raise ValueError(
                 f"grasps[{i}] belongs to body {grasp.body}, but there are poses of {num_bodies} bodies: give poses to "
                 "all bodies, or the grasp another body (they count from 0)"
             )
-    return None if not count else jnp.broadcast_to(jnp.asarray(grips, holds[0].share.dtype), (num_substeps, count))
 
 
 def grasp_stiffness(scene: "ThinScene") -> tuple[Array, Array]:
@@ -142,5 +147,6 @@ def grasp_stiffness(scene: "ThinScene") -> tuple[Array, Array]:
 
 
 __all__ = [
-    "GRASPS", "Grasp", "Hold", "check_grasps", "checked_grips", "grasp_numbers", "grasp_stiffness",
+    "GRASPS", "Grasp", "Hold", "check_grasp_bodies", "check_grasps", "checked_grips", "grasp_numbers",
+    "grasp_stiffness",
 ]  # fmt: skip

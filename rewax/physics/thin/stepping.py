@@ -24,6 +24,7 @@ from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.creases import creased, yield_angle, yielded
+from rewax.physics.thin.grasps import check_grasp_bodies
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
@@ -127,6 +128,7 @@ def open_grasps(scene: ThinScene, state: ThinState, poses: Pose) -> ThinState:
     Scenes with grasps begin with it. Gradient: exact.
     """
     check_vertices(scene, state)
+    check_grasp_bodies(scene.grasps, poses.position.shape[0])
     return state.replace(holds=grasp_forces.open_holds(scene, state.x, poses))
 
 
@@ -146,6 +148,7 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3), given the poses of all bodies at the
     beginning and end of a substep. Gradient: exact."""
     check_vertices(scene, state)
+    check_bodies(scene.colliders, before.position.shape[0])
     return cp.join_vector(contact_forces(scene, *split(state)[:2], (before, after)))
 
 

@@ -7,7 +7,9 @@ import pytest
 from thin_bodies import SHEET, STEP, cloth_scene, shaken
 
 from rewax.physics import thin
+from rewax.physics.contact import Collider, PenaltyContact
 from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes import Sphere
 from rewax.status import Status
 
 CORNER = np.asarray(SHEET.vertices[0])
@@ -114,6 +116,13 @@ def test_scenes_and_steps_refuse_what_is_illegal(x64):
     ):
         with pytest.raises(ValueError, match=message):
             thin.step(scene, state, bodies, grips=grips)
+    nowhere = at(thin.static_poses(4), 0)
+    with pytest.raises(ValueError, match=r"grasps\[0\] belongs to body 0, but there are poses of 0 bodies"):
+        thin.open_grasps(scene, plain, nowhere)
+    ball = Collider(shape=Sphere(radius=0.1), friction=0.0)
+    touched = cloth_scene(colliders=(ball,), contact=PenaltyContact(stiffness=1.0))
+    with pytest.raises(ValueError, match="collider 0 belongs to body 0, but there are poses of 0 bodies"):
+        thin.contact_force(touched, plain, nowhere, nowhere)
     broken = scene.replace(grasps=(gripper(radius=jnp.float64(-1.0)),))
     assert int(thin.check_status(broken, plain)) & Status.INVALID_PARAMETERS
 
