@@ -240,6 +240,23 @@ def elastic_energy_density(material: Material, F: Array, memory: tuple[Array, ..
     return psi
 
 
+def is_inverted(material: Material, F: Array, memory: Array | None) -> Array:
+    """Whether each particle is flattened or turned inside out, or has been as far as its history variables tell.
+
+    Args:
+      material: its plasticity reads the history variables.
+      F: trial elastic deformation gradient [-], shape (num_particles, 3, 3).
+      memory: history variables, as in ``MPMState.memory``.
+
+    Returns:
+      Truth, shape (num_particles,), bool. Gradient: none.
+    """
+    now = cp.det(cp.split_matrix(F)) <= 0.0
+    if memory is None or material.plasticity is None:
+        return now
+    return now | material.plasticity.was_inverted(tuple(memory[:, i] for i in range(len(material.initial_memory))))
+
+
 def _solid(material: Material, F: Mat3, memory: tuple[Array, ...]) -> tuple[Mat3, Mat3, tuple[Array, ...]]:
     if len(memory) != len(material.initial_memory):
         raise ValueError(
@@ -278,6 +295,7 @@ __all__ = [
     "Parameter",
     "Response",
     "elastic_energy_density",
+    "is_inverted",
     "joined_parameters",
     "kirchhoff_stress",
     "parameters_of",

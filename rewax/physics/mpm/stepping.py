@@ -21,7 +21,7 @@ from rewax.physics.contact.motion import Placed
 from rewax.physics.contact.penetration import penetration
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
+from rewax.physics.mpm.materials import Material, Response, is_inverted, joined_parameters, respond, split_parameters
 from rewax.physics.mpm.packing import Particles, join, pack, rows_of, split, unpack
 from rewax.physics.mpm.scene import (
     SCENE,
@@ -143,7 +143,7 @@ def check_status(
     lower, upper = _bounds(scene.grid, state.x.dtype)
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))
     too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
-    inverted = jnp.any(cp.det(cp.split_matrix(state.F)) <= 0.0)
+    inverted = jnp.any(per_material(scene, lambda m, part: is_inverted(m, *part), (state.F, state.memory)))
     status = (
         flag(~all_finite(state), Status.NAN)
         | flag(at_border, Status.OUT_OF_DOMAIN)

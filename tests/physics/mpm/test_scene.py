@@ -16,6 +16,7 @@ from rewax.physics.mpm.materials import sound_speed
 from rewax.physics.mpm.scene import STABLE_DIFFUSION_NUMBER, per_material
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Sphere
+from rewax.status import Status
 
 SNOW = Snow(critical_compression=0.02, critical_stretch=0.01, hardening=5.0)
 
@@ -118,6 +119,17 @@ def test_each_material_gets_its_own_particles_and_results_keep_their_order():
     np.testing.assert_array_equal(got[1], -x[:, 0])
     alone = mpm.make_scene(grid=GRID, dt=DT, material=one, particle_volume=2e-6)
     np.testing.assert_array_equal(per_material(alone, lambda m, p: p * m.density, x), 1000.0 * x)
+
+
+def test_an_inversion_that_only_the_memory_tells_is_reported():
+    solid = flat_material(youngs_modulus=1e3, poissons_ratio=0.3, density=400.0)
+    snow, x = solid.replace(plasticity=SNOW), jnp.array([[0.0, 0.1, 0.0], [0.1, 0.0, 0.0]])
+    for material, counts in ((snow, None), ((solid, snow), (1, 1))):
+        scene = mpm.make_scene(grid=GRID, dt=DT / 3, material=material, particle_counts=counts, particle_volume=1e-6)
+        state = mpm.initial_state(x, scene)
+        assert int(mpm.check_status(scene, state)) == Status.OK
+        state = state.replace(memory=state.memory.at[1].set(0.0))
+        assert int(mpm.check_status(scene, state)) == Status.INVERTED
 
 
 def test_particles_begin_undeformed_at_rest_and_only_snow_remembers():

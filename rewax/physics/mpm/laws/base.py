@@ -129,7 +129,8 @@ class Flow(NamedTuple):
 class Plasticity(Law):
     """Return map onto a yield surface, with optional history variables.
 
-    Extend it by ``flow``, and for history variables by ``initial_memory``, ``stiffness`` and ``largest_stiffness``.
+    Extend it by ``flow``, and for history variables by ``initial_memory``, ``stiffness``, ``largest_stiffness`` and
+    ``was_inverted``.
     ``LogarithmicPlasticity`` is simpler to extend.
 
     Attributes:
@@ -154,6 +155,11 @@ class Plasticity(Law):
         """Factor on elastic stress and energy [-]; None: 1."""
         del memory
         return None
+
+    def was_inverted(self, memory: tuple[Array, ...]) -> Array:
+        """Whether particles have been turned inside out, as far as the history variables tell, bool."""
+        del memory
+        return jnp.bool_(False)
 
 
 class LogarithmicPlasticity(Plasticity):

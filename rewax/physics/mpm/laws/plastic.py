@@ -75,7 +75,8 @@ class Snow(Plasticity):
     """Snow: stretches are limited to 1 - critical_compression ... 1 + critical_stretch, and flow changes the moduli.
 
     The history variable is the plastic volume ratio J_p. Moduli are multiplied by exp(hardening (1 - J_p)), at most by
-    ``MAX_HARDENING``.
+    ``MAX_HARDENING``. A particle that is turned inside out in any substep has J_p = 0 from then on, which sets
+    ``Status.INVERTED``.
 
     Attributes:
       critical_compression: [-], between 0 and 1 (fresh: 0.025).
@@ -96,11 +97,15 @@ class Snow(Plasticity):
         del moduli
         low, high = 1.0 - self.critical_compression, 1.0 + self.critical_stretch
         new = Stretches.of(dd.minimum(dd.maximum(s.values, low), high))
-        plastic_volume = memory[0] * s.volume / new.volume
+        # Clamping makes the volume positive again: without the maximum J_p would stay negative, and nobody would know.
+        plastic_volume = memory[0] * jnp.maximum(s.volume, 0.0) / new.volume
         return Flow(new, elongation_of(s.values, new.values), (plastic_volume,))
 
     def stiffness(self, memory: tuple[Array, ...]) -> Array:
         return jnp.exp(jnp.minimum(self.hardening * (1.0 - memory[0]), math.log(MAX_HARDENING)))
+
+    def was_inverted(self, memory: tuple[Array, ...]) -> Array:
+        return memory[0] <= 0.0
 
 
 def _deviator(log_s: Principal) -> tuple[Array, Principal, Array]:

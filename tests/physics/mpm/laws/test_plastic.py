@@ -1,5 +1,6 @@
 """Return maps end on the yield surface; sand, snow and dough as in their papers."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,9 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as hs
 from material_cases import LAM, MU, NU, NUM, RESPOND, STRESS, YIELD, E, material, random_F
 
-from rewax.physics.mpm import DruckerPrager, FixedCorotated, Hencky, Snow, VonMises
+from rewax.physics.mpm import DruckerPrager, FixedCorotated, Hencky, Material, Snow, VonMises
 from rewax.physics.mpm.laws import MAX_HARDENING
 from rewax.physics.mpm.laws.base import Parameters, plastic_law
+from rewax.physics.mpm.materials import is_inverted, respond
+from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.divided_differences import Principal
 
 
@@ -119,6 +122,19 @@ def test_snow_is_clipped_and_what_flows_changes_its_moduli(x64):
     np.testing.assert_allclose(
         stress, harder * (2 * MU * (clipped - 1) * clipped + LAM * (J - 1) * J), rtol=1e-10, atol=1e-8
     )
+
+
+def test_snow_that_was_inverted_is_reported(x64):
+    """After the return map its deformation is legal again: the history variable alone tells."""
+    elasticity = FixedCorotated(youngs_modulus=E, poissons_ratio=NU)
+    law, after = Material(density=1e3, elasticity=elasticity, plasticity=snow()), jax.jit(respond)
+    F = jnp.stack([jnp.eye(3), jnp.diag(jnp.array([1.0, -0.5, 1.01])), 0.9 * jnp.eye(3)])
+    response = after(law, cp.split_matrix(F), memory=(jnp.array([1.0, 1.0, 0.9]),))
+    new, (once,) = cp.join_matrix(response.F), response.memory
+    np.testing.assert_allclose(once, [1.0, 0.0, 0.9 * (0.9 / 0.975) ** 3])
+    assert (np.linalg.det(new) > 0).all() and np.isfinite(response.stress).all()
+    assert after(law, cp.split_matrix(F), memory=(once,)).memory[0][1] == 0.0, "a second inversion hides nothing"
+    np.testing.assert_array_equal(is_inverted(law, new, once[:, None]), [False, True, False])
 
 
 def test_packed_snow_is_at_most_so_much_harder(x64):
