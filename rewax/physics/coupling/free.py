@@ -15,10 +15,10 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import WRENCH, SoftContact, System, Wrench, no_wrench
-from rewax.physics.coupling.free_body import INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
+from rewax.physics.coupling.free_body import BODIES, INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
 from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, prescribed_of, scan_soft, solver_of
 from rewax.physics.numerics.checks import check_numbers, check_precision
-from rewax.physics.numerics.fields import checked, instance, optional
+from rewax.physics.numerics.fields import checked, optional
 from rewax.physics.numerics.fields import poses as poses_of
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, check_has_substeps
@@ -37,7 +37,7 @@ class _Carry(NamedTuple):
     scene=SCENE,
     inertia=INERTIA,
     state=STATE,
-    bodies=instance(FreeBodies, "give FreeBodies, of bodies_at_rest for example"),
+    bodies=BODIES,
     poses=poses_of("num_substeps + 1", "num_prescribed"),
     wrench=optional(WRENCH),
 )

@@ -4,16 +4,18 @@ They serve boxes in water and blocks on dough. Free bodies do not touch each oth
 between rigid bodies use ``rewax.physics.rigid``.
 """
 
+import jax
 import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.contact.motion import Motion
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Legal, Number, check_numbers
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Legal, Number, any_illegal, check_numbers
 from rewax.physics.numerics.fields import checked, instance, items, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import normalized, quaternion_to_matrix, skew, turn_quaternion
 from rewax.physics.shapes.base import Shape, require_shape
 from rewax.physics.shapes.sizes import size_numbers
+from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
 
@@ -46,6 +48,10 @@ class FreeBodies(struct.Replaceable):
     orientation: Array
     velocity: Array
     angular_velocity: Array
+
+
+INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")
+BODIES = instance(FreeBodies, "give FreeBodies, of bodies_at_rest for example")
 
 
 @checked(position=real(FINITE, "give centres of mass in metres", shape=("num_bodies", 3)))
@@ -96,11 +102,44 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
 
 
 def inertia_numbers(inertia: Inertia) -> list[Number]:
-    """The mass properties of bodies, with their legal values: positive masses, positive definite moments."""
-    mass = Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg", ("num_bodies",))
-    remedy = "give moments of inertia in kg m^2"
-    moment = Number("inertia.moment", inertia.moment, FINITE, remedy, ("num_bodies", 3, 3))
-    check_numbers([mass, moment])
+    """The mass properties of bodies, with their legal values: positive masses, positive definite moments.
+
+    Raises:
+      ValueError: known arrays of other shapes, known numbers that are not finite or masses that are not positive.
+    """
+    given = _given_numbers(inertia)
+    check_numbers(given)
+    return [*given, *_definite_numbers(inertia)]
+
+
+@checked(inertia=INERTIA, bodies=BODIES)
+def check_status(inertia: Inertia, bodies: FreeBodies) -> Array:
+    """Status bits of free bodies (non-finite numbers) and of their mass properties (illegal numbers).
+
+    Steps refuse illegal mass properties that are known; this function reports traced ones, too.
+
+    Args:
+      inertia: mass properties of the bodies.
+      bodies: the bodies.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    inertia, bodies = jax.lax.stop_gradient((inertia, bodies))
+    illegal = any_illegal([*_given_numbers(inertia), *_definite_numbers(inertia)])
+    return flag(~all_finite(bodies), Status.NAN) | flag(illegal, Status.INVALID_PARAMETERS)
+
+
+def _given_numbers(inertia: Inertia) -> list[Number]:
+    moment = "give moments of inertia in kg m^2"
+    return [
+        Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg", ("num_bodies",)),
+        Number("inertia.moment", inertia.moment, FINITE, moment, ("num_bodies", 3, 3)),
+    ]
+
+
+def _definite_numbers(inertia: Inertia) -> list[Number]:
+    """Numbers that are legal if the moments are symmetric and positive definite."""
     m = jnp.asarray(inertia.moment)
     moments = jnp.diagonal(m, axis1=-2, axis2=-1)
     scale = jnp.max(jnp.abs(m), axis=(-2, -1), keepdims=True)
@@ -110,16 +149,11 @@ def inertia_numbers(inertia: Inertia) -> list[Number]:
     volume = jnp.sum(jnp.cross(m[..., 0, :], m[..., 1, :]) * m[..., 2, :], axis=-1)
     definite = "give symmetric, positive definite moments of inertia in kg m^2"
     return [
-        mass,
-        moment,
-        Number("the diagonal of inertia.moment", moments, POSITIVE, remedy),
+        Number("the diagonal of inertia.moment", moments, POSITIVE, "give moments of inertia in kg m^2"),
         Number("the relative asymmetry of inertia.moment", skewed, Legal(-1e-4, 1e-4), definite),
         Number("the first minor of inertia.moment", minor, POSITIVE, definite),
         Number("the determinant of inertia.moment", volume, POSITIVE, definite),
     ]
-
-
-INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")
 
 
 @checked(shapes=items(lambda name, shape: require_shape(shape, name), "give a tuple of shapes"))

@@ -10,6 +10,7 @@ from rewax.physics.coupling import free_body
 from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere, signed_distance
 from rewax.physics.shapes.sampling import fill_box
+from rewax.status import Status
 
 BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
 
@@ -125,3 +126,23 @@ def test_moments_of_inertia_are_positive_definite(moment, what):
     inertia = free_body.Inertia(mass=jnp.ones(1), moment=1e-3 * jnp.asarray([moment]))
     with pytest.raises(ValueError, match=f"the {what} of inertia.moment.*: give symmetric, positive definite moments"):
         check_numbers(free_body.inertia_numbers(inertia))
+
+
+@pytest.mark.parametrize(
+    ("mass", "moment", "position", "status"),
+    [
+        (1.0, np.eye(3), 0.0, Status.OK),
+        (-1.0, np.eye(3), 0.0, Status.INVALID_PARAMETERS),
+        (np.nan, np.eye(3), 0.0, Status.INVALID_PARAMETERS),
+        (1.0, np.diag([1.0, -1.0, 1.0]), 0.0, Status.INVALID_PARAMETERS),
+        (1.0, np.eye(3) + 0.1 * np.eye(3, k=1), 0.0, Status.INVALID_PARAMETERS),
+        (1.0, np.eye(3), np.inf, Status.NAN),
+        (0.0, np.eye(3), np.nan, Status.NAN | Status.INVALID_PARAMETERS),
+    ],
+)
+def test_the_status_reports_what_steps_refuse_when_it_is_known(mass, moment, position, status):
+    inertia = free_body.Inertia(mass=jnp.array([mass, 1.0]), moment=jnp.stack([jnp.asarray(moment), jnp.eye(3)]))
+    bodies = free_body.bodies_at_rest(jnp.zeros((2, 3)))
+    bodies = bodies.replace(position=bodies.position.at[0, 1].set(position))
+    for check in (free_body.check_status, jax.jit(free_body.check_status)):
+        assert int(check(inertia, bodies)) == status
