@@ -17,6 +17,7 @@ from rewax.physics.numerics.rotations import quaternion_to_matrix
 from rewax.physics.rigid.forces import kinematics
 from rewax.physics.rigid.mjx_access import mujoco
 from rewax.physics.rigid.model import RigidModel
+from rewax.physics.rigid.overrides import may_touch
 from rewax.physics.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.physics.shapes.mesh_sdf import bake_mesh
 from rewax.types import Array, Scalar
@@ -33,7 +34,7 @@ def colliders(
     mesh_spacing: float | None = None,
     chosen: Callable[[str, str], bool] | None = None,
 ) -> tuple[Collider, ...]:
-    """One collider per geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
+    """One collider per geom that may touch others, in the order of the model; ``Collider.body`` is its body.
 
     Args:
       model: the bodies. The parameters of its geoms become parameters of the colliders.
@@ -42,7 +43,7 @@ def colliders(
       mesh_spacing: spacing of the grids to which meshes are baked [m]; required if there are meshes. The collider is
         the mesh itself, not its convex hull.
       chosen: ``chosen(name of the body, name of the geom)`` returns whether to include a geom; None: include geoms with
-        a contype or conaffinity other than 0.
+        a contype or conaffinity other than 0, and those of explicit pairs (``<contact><pair/></contact>``).
 
     Raises:
       ValueError: a geom is a plane (use a wall or a ground), a height field or another kind without a distance; meshes
@@ -56,9 +57,10 @@ def colliders(
     check_instance("model", model, RigidModel, "give a model that rigid.load returned")
     _check_options(friction, softness, mesh_spacing, chosen)
     mj, found = model.static.mj, []
+    may = may_touch(mj)
     for geom in range(mj.ngeom):
         body, name = mj.body(int(mj.geom_bodyid[geom])).name, mj.geom(geom).name
-        touches = bool(mj.geom_contype[geom] or mj.geom_conaffinity[geom]) if chosen is None else chosen(body, name)
+        touches = may[geom] if chosen is None else chosen(body, name)
         if not touches:
             continue
         shape, along = geom_shape(model, geom, mesh_spacing)

@@ -113,10 +113,16 @@ def without_idle_parts(mj: mujoco.MjModel) -> mujoco.MjModel:
     return mj
 
 
+def may_touch(mj: mujoco.MjModel) -> np.ndarray:
+    """Whether each geom may touch others: it has a contype or conaffinity, or belongs to an explicit pair."""
+    touches = (mj.geom_contype | mj.geom_conaffinity) != 0
+    touches[mj.pair_geom1] = touches[mj.pair_geom2] = True
+    return touches
+
+
 def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
     """Ids of the geoms whose poses affect the motion: those that may touch and those that tendons wrap."""
-    counts = (mj.geom_contype | mj.geom_conaffinity) != 0
-    counts[mj.pair_geom1] = counts[mj.pair_geom2] = True
+    counts = may_touch(mj)
     wraps = np.isin(mj.wrap_type, [mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER])
     counts[mj.wrap_objid[wraps]] = True
     return np.flatnonzero(counts)
@@ -154,4 +160,4 @@ def _set_flags(mj: mujoco.MjModel, flags: Any) -> None:
         setattr(mj.opt, field, others | bit if bool(enabled) == is_set else others)
 
 
-__all__ = ["Overrides", "check_options", "moving_geoms", "with_overrides", "without_idle_parts"]
+__all__ = ["Overrides", "check_options", "may_touch", "moving_geoms", "with_overrides", "without_idle_parts"]

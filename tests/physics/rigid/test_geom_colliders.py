@@ -133,3 +133,14 @@ def test_a_plane_is_no_collider(model):
         ValueError, match=r"^geom 'floor' is a plane, which is no collider: leave it out with chosen=\.\.\., "
     ):
         rigid.colliders(model)
+
+
+def test_geoms_of_explicit_pairs_are_colliders():
+    """As in the example of docs/rigid.md, where geoms touch by pairs alone."""
+    mjcf = """
+    <mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>
+      <geom name="table" type="box" size="1 1 .1"/>
+      <body pos="0 0 .3"><freejoint/><geom name="ball" size=".1"/><geom name="ghost" size=".2" mass="0"/></body>
+    </worldbody><contact><pair geom1="table" geom2="ball"/></contact></mujoco>
+    """
+    assert [type(tool.shape).__name__ for tool in rigid.colliders(rigid.load(mjcf))] == ["Box", "Sphere"]
