@@ -31,7 +31,8 @@ class Overrides(TypedDict, total=False):
     impratio: float
     """Ratio of frictional to normal impedance."""
     iterations: int
-    """Largest number of Newton steps of the solver."""
+    """Largest number of Newton steps of the solver. At least 50 are always allowed, because the derivative assumes that
+    the solver has converged."""
     noslip_iterations: int
     """Steps of MuJoCo's noslip solver; rewax supports 0 only."""
     max_contact_points: int | None
