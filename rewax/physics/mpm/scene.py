@@ -25,7 +25,7 @@ from rewax.physics.mpm.scene_checks import (
     check_materials,
     part_numbers,
 )
-from rewax.physics.mpm.walls import Walls, check_walls
+from rewax.physics.mpm.walls import Walls, check_before_walls, check_walls
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, any_illegal, check_numbers
 from rewax.physics.numerics.fields import (
     check_fields,
@@ -306,7 +306,7 @@ def least_particle_mass(scene: MPMScene, dtype: Any) -> Array:
     tolerance=optional(static(FINITE, "give a depth in metres")),
 )
 def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
-    """Checks that particles start inside the box and outside the colliders.
+    """Checks that particles start inside the box, before the walls and outside the colliders.
 
     Args:
       scene: the scene.
@@ -317,11 +317,12 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
         nodes, so touching bodies overlap by a fraction of a cell.)
 
     Raises:
-      ValueError: particles lie outside the box or inside a collider; the message names the collider and the depth. Not
-        for use inside ``jit``.
+      ValueError: particles lie outside the box, more than a cell behind a wall or inside a collider; the message names
+        wall or collider and the depth. Not for use inside ``jit``.
     """
     check_state(scene, state)
     check_box(scene.grid, state.x)
+    check_before_walls(scene.walls, scene.grid, state.x)
     if bodies is not None:
         check_bodies(scene.colliders, len(bodies.position))
     tolerance = 0.5 * scene.grid.spacing if tolerance is None else tolerance

@@ -110,6 +110,22 @@ def check_walls(walls: Walls, grid: Grid) -> None:
                 )
 
 
+def check_before_walls(walls: Walls, grid: Grid, x: Array) -> None:
+    """Raises ValueError for particles at positions x more than a cell behind a wall, whose nodes hold them there."""
+    positions = np.asarray(x)
+    for side, inward in (("lower", 1.0), ("upper", -1.0)):
+        for axis, wall in enumerate(getattr(walls, side)):
+            if wall is None:
+                continue
+            depth = inward * (wall.position - positions[:, axis])
+            behind = depth > (1.0 + 1e-6) * grid.spacing
+            if behind.any():
+                raise ValueError(
+                    f"{int(behind.sum())} particles lie up to {depth.max():.3g} m behind walls.{side}[{axis}], which "
+                    f"is at {wall.position:g} m and holds them there: move the particles or the wall"
+                )
+
+
 def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
     """Apply all walls to node velocities, in the order x, y, z. On each axis, the lower wall comes first.
 

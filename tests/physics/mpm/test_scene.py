@@ -14,6 +14,7 @@ from rewax.physics.mpm import Snow, Tait, VonMises
 from rewax.physics.mpm.laws import MAX_HARDENING
 from rewax.physics.mpm.materials import sound_speed
 from rewax.physics.mpm.scene import STABLE_DIFFUSION_NUMBER, per_material
+from rewax.physics.mpm.walls import Wall, Walls
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Sphere
 from rewax.status import Status
@@ -99,6 +100,24 @@ def test_particles_must_begin_inside_the_box_and_outside_the_colliders():
     with pytest.raises(ValueError, match=r"particles lie up to 0.0298 m inside collider 0 \(Sphere\): move it"):
         mpm.check_placement(scene, state)
     mpm.check_placement(scene, state, tolerance=0.04)
+
+
+@pytest.mark.parametrize(("side", "inward"), [("lower", 1.0), ("upper", -1.0)])
+def test_particles_may_begin_at_most_a_cell_behind_a_wall(side, inward):
+    scene, state = cube()
+    first = inward * float(jnp.min(inward * state.x[:, 1]))
+
+    def check(cells):
+        wall = (None, Wall(position=first + inward * cells * GRID.spacing), None)
+        mpm.check_placement(
+            scene.replace(walls=Walls(**{"lower": (None,) * 3, "upper": (None,) * 3, side: wall})), state
+        )
+
+    check(0.9)
+    with pytest.raises(
+        ValueError, match=rf"particles lie up to 0.055 m behind walls.{side}\[1\], which is at .*: move"
+    ):
+        check(1.1)
 
 
 def test_mass_of_each_particle_is_its_volume_times_the_density_of_its_material():
