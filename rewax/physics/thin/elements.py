@@ -73,12 +73,24 @@ def segment_strain(x: Corners, length: Array) -> Array:
 def half_square_curvature(x: Corners) -> Array:
     """|kb|^2 / 2 [-] with the curvature binormal kb = 2 a x b / (|a||b| + a . b), of length 2 tan(angle / 2).
 
-    Source: Bergou et al. 2008, "Discrete elastic rods", eq. 1. Gradient: exact, finite for straight ropes.
+    Source: Bergou et al. 2008, "Discrete elastic rods", eq. 1. Gradient: exact, finite for straight ropes and for ropes
+      that are folded back onto themselves, see ``binormal_divisor``.
     """
     a, b = cp.subtract(x[1], x[0]), cp.subtract(x[2], x[1])
     product = cp.cross(a, b)
-    denominator = jnp.sqrt(cp.dot(a, a) * cp.dot(b, b)) + cp.dot(a, b)
-    return 2.0 * cp.dot(product, product) / (denominator * denominator)
+    divisor = binormal_divisor(a, b)
+    return 2.0 * cp.dot(product, product) / (divisor * divisor)
+
+
+def binormal_divisor(a: Vec3, b: Vec3) -> Array:
+    """|a||b| + a . b [m^2]; that of a straight rope, 2 |a||b|, where b folds back onto a and the sum is rounding alone.
+
+    The energy of such a fold is infinite, and no plane in which it could open is better than another. With this divisor
+    it has no energy, no force and a finite derivative.
+    """
+    lengths = jnp.sqrt(cp.dot(a, a) * cp.dot(b, b))
+    divisor = lengths + cp.dot(a, b)
+    return jnp.where(divisor > 8.0 * jnp.finfo(lengths.dtype).eps * lengths, divisor, 2.0 * lengths)
 
 
 # --- The membrane's law -----------------------------------------------------------------------------------------------
@@ -229,7 +241,7 @@ def _linearized(strain: Callable[[Corners], Any], x: Corners, v: Corners) -> tup
 
 
 __all__ = [
-    "angle_between", "bend_force", "green_strain", "half_square_curvature", "hinge_angle", "hinge_force", "hinge_pull",
-    "hinge_turn", "membrane_energy",
-    "membrane_force", "membrane_stress", "segment_force", "segment_strain", "square_area_ratio",
+    "angle_between", "bend_force", "binormal_divisor", "green_strain", "half_square_curvature", "hinge_angle",
+    "hinge_force", "hinge_pull", "hinge_turn", "membrane_energy", "membrane_force", "membrane_stress", "segment_force",
+    "segment_strain", "square_area_ratio",
 ]  # fmt: skip

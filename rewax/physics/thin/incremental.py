@@ -178,7 +178,7 @@ def _segment_stress(rope: Any, sizes: Any, now: Array, dt: Array) -> Array:
 def curvature_binormal(x: Corners) -> Vec3:
     """kb = 2 a x b / (|a||b| + a . b) [-], see ``elements.half_square_curvature``."""
     a, b = cp.subtract(x[1], x[0]), cp.subtract(x[2], x[1])
-    return cp.scale(2.0 / (jnp.sqrt(cp.dot(a, a) * cp.dot(b, b)) + cp.dot(a, b)), cp.cross(a, b))
+    return cp.scale(2.0 / elements.binormal_divisor(a, b), cp.cross(a, b))
 
 
 _SEGMENT = Local(

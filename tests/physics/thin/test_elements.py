@@ -7,6 +7,7 @@ import pytest
 from thin_bodies import KINDS, LINE, SHEET, rope_scene, shaken
 
 from rewax.physics import thin
+from rewax.physics.thin import elements, incremental
 
 FORCE = jax.jit(thin.internal_force)
 
@@ -51,3 +52,24 @@ def test_a_straight_rope_has_a_gradient_with_respect_to_bending_forces(x64):
     column = jax.jvp(lambda x: thin.internal_force(scene, thin.initial_state(x)), (jnp.asarray(LINE.vertices),),
                      (jnp.zeros((9, 3)).at[8, 1].set(1.0),))[1]  # fmt: skip
     np.testing.assert_allclose(column[8, 1], -0.1 / 0.125**3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_rope_that_is_folded_back_onto_itself_has_finite_forces(x64, dtype):
+    """For the explicit law (energy) and the implicit one (binormal), at random directions; near the fold both are exact."""
+    a = np.random.default_rng(0).normal(size=(3, 50)).astype(dtype)
+
+    def curvatures(x):
+        corners = tuple(tuple(c) for c in x)
+        return elements.half_square_curvature(corners), jnp.stack(incremental.curvature_binormal(corners))
+
+    x = jnp.asarray(np.stack([0 * a, a, 0 * a]))
+    first = jax.jacrev(lambda x: jax.tree.map(lambda c: c.sum(axis=-1), curvatures(x)))
+    for values in (curvatures(x), first(x), jax.jacfwd(first)(x)):
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(values))
+    np.testing.assert_array_equal(first(x)[0], 0.0)
+    open_by = 0.02
+    hinge = jnp.array([[[0.0], [0.0], [0.0]], [[1.0], [0.0], [0.0]], [[1 - np.cos(open_by)], [np.sin(open_by)], [0.0]]])
+    energy, binormal = curvatures(hinge.astype(dtype))
+    tangent = 2.0 / np.tan(open_by / 2)
+    np.testing.assert_allclose([2.0 * energy[0] / tangent, binormal[2, 0]], tangent, rtol=2e-3)
