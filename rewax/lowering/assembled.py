@@ -18,7 +18,7 @@ from rewax.lowering import build, report, stencils
 from rewax.lowering.ffi_layout import Operand, batch_shape, cpu_rules, operands_of
 from rewax.lowering.kernels import Target, as_arrays, blocks_of, broadcast, common_type, split_sums, target_of
 from rewax.lowering.linear_primitive import Arrays
-from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
+from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments, trace_context
 from rewax.lowering.stencils import Listed, Stencil
 
 T = TypeVar("T")
@@ -200,7 +200,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     reads = [*inner.reads, *_linear_reads(which, inner, program, len(linear), corners)]
     avals = tuple(operands[r.argument].element_aval for r in reads)
     varies = tuple(operands[r.argument].varies for r in reads)
-    target = target_of(which, inner.program, avals, varies, jnp.result_type(float))
+    target = target_of(which, inner.program, avals, varies, trace_context())
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)

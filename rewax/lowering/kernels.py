@@ -24,7 +24,7 @@ from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
 from rewax.lowering.machine import Machine, load, machine
 from rewax.lowering.operations import UnsupportedError
-from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
+from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments, trace_context
 from rewax.types import Array
 
 S = TypeVar("S")
@@ -143,7 +143,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     varies = (*program.varies, *of_linear)
     operands = operands_of(program, arrays, linear, varies)
     avals = tuple(o.element_aval for o in operands)
-    target = target_of(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
+    target = target_of(which, program._replace(batches=()), avals, varies, trace_context())
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
@@ -206,9 +206,9 @@ def bytecode_of(
 
 
 @functools.lru_cache(maxsize=1024)
-def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> Target | str:
+def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], context: Any) -> Target | str:
     """The registered bytecode of a rule, or the reason why there is none."""
-    del precision  # cache key only: jax_enable_x64
+    del context  # cache key only
     try:
         function = trace_function(which, program, avals[: len(program.varies)])
         key = key_of(function, "blocks", which, program.perturbed, program.varies, avals, varies)

@@ -28,7 +28,7 @@ from rewax.lowering.instructions import NUMBERS, SPECIAL, cases
 from rewax.lowering.lane_assembler import Bytecode, assemble
 from rewax.lowering.linear_primitive import Arrays
 from rewax.lowering.operations import UnsupportedError
-from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
+from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments, trace_context
 
 T = TypeVar("T")
 
@@ -75,7 +75,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     operands = operands_of(program, arrays, linear, [False] * (len(arrays) + len(linear)))
     avals = tuple(o.element_aval for o in operands)
-    target = _target(which, program._replace(batches=()), avals, len(arrays), jnp.result_type(float))
+    target = _target(which, program._replace(batches=()), avals, len(arrays), trace_context())
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
@@ -100,9 +100,9 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
 
 
 @functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | str:
+def _target(which: str, program: Program, avals: tuple, count: int, context: Any) -> _Target | str:
     """The registered bytecode of a rule, or the reason why there is none."""
-    del precision  # cache key only: jax_enable_x64
+    del context  # cache key only
     try:
         function = trace_function(which, program, avals[:count])
         key = key_of(function, "lanes", which, program.perturbed, avals)

@@ -1,6 +1,7 @@
 """Functions whose derivatives keep only the inputs; value, JVP and VJP are one equation each in a jaxpr."""
 
 import functools
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -22,7 +23,8 @@ def recomputed(function: Callable[..., T], derivative_of: Callable[..., T] | Non
     policy gradient this removes most of the time before compilation.
 
     Args:
-      function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
+      function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument:
+        as with ``jax.jit``, values from outside are those of the first trace, until ``jax.clear_caches()``.
       derivative_of: function to differentiate instead, called as ``derivative_of(result, *args)`` with ``result =
         function(*args)``. Its derivative with respect to ``args`` must be that of ``function``. For the result of an
         iteration, the implicit function theorem provides it without a second iteration. None: ``function`` itself.
@@ -77,7 +79,7 @@ class Program(NamedTuple):
     def results(self, arrays: Sequence[Array]) -> Any:
         """Structure, shapes and types of the function's result."""
         shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
-        return _results(self._replace(perturbed=()), shapes, jnp.result_type(float))
+        return _results(self._replace(perturbed=()), shapes, trace_context())
 
     def under_vmap(self, function: Callable[[Arrays, Arrays], Arrays]) -> Callable[[Arrays, Arrays], Arrays]:
         """``function(arrays, linear)`` under all batch axes; every linear array has all of them."""
@@ -118,9 +120,47 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
     return arrays, treedef, constants
 
 
+class _Epoch:
+    """A number that is another one after ``jax.clear_caches()``."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.mark: Callable[[], Any] = lambda: None
+
+    def __call__(self) -> int:
+        if self.mark() is None:
+            mark = _Mark()
+            self.number, self.mark = self.number + 1, weakref.ref(mark)
+            with jax.disable_jit(False):  # without jit, JAX remembers no trace
+                jax.eval_shape(_remember, mark)
+        return self.number
+
+
+class _Mark:
+    """Only JAX's memory of traces holds it, so it lives until ``jax.clear_caches()``."""
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _remember(mark: _Mark) -> Array:
+    del mark
+    return jnp.zeros(())
+
+
+_epoch = _Epoch()
+
+
+def trace_context() -> tuple[Any, int]:
+    """What a trace depends on beside its function and arguments, for the keys of caches of traces.
+
+    It changes with ``jax_enable_x64``, and in ``jax.clear_caches()``: functions are then traced again, with the present
+    values of what they close over.
+    """
+    return jnp.result_type(float), _epoch()
+
+
 @functools.lru_cache(maxsize=1024)
-def _results(program: Program, shapes: tuple, precision: Any) -> Any:
-    del precision  # cache key only: jax_enable_x64
+def _results(program: Program, shapes: tuple, context: Any) -> Any:
+    del context  # cache key only
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
     return jax.eval_shape(program.apply, arrays)
 

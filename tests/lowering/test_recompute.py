@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rewax.lowering import interpreted, pointwise
 from rewax.lowering.recompute import recomputed
 
 
@@ -195,3 +196,24 @@ def test_a_surrogate_sees_the_result_and_all_arguments(x64):
     wrong = recomputed(lambda a, b: a * b, derivative_of=lambda known, a, b: 3.0 * jax.lax.stop_gradient(known) * a)
     value, (by_a, by_b) = jax.value_and_grad(wrong, argnums=(0, 1))(jnp.array(2.0), jnp.array(5.0))
     assert (float(value), float(by_a), float(by_b)) == (10.0, 30.0, 0.0)
+
+
+def of_elements(function):
+    many = pointwise(lambda shared, elements: function(elements))
+    return lambda elements: many(None, elements)
+
+
+@pytest.mark.parametrize("way", [recomputed, interpreted, of_elements])
+def test_what_a_function_closes_over_is_read_again_after_clear_caches(way):
+    law = {"names": ("a",), "factor": 2.0}
+    function = way(lambda x: dict.fromkeys(law["names"], x * law["factor"]))
+
+    def value_and_gradient():
+        return jax.jit(lambda x: (function(x), jax.grad(lambda x: sum(function(x).values()).sum())(x)))(jnp.ones(3))
+
+    value_and_gradient()
+    law.update(names=("b", "c"), factor=3.0)
+    jax.clear_caches()
+    value, gradient = value_and_gradient()
+    assert {name: float(a[0]) for name, a in value.items()} == {"b": 3.0, "c": 3.0}
+    assert float(gradient[0]) == 6.0
