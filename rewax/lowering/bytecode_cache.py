@@ -16,6 +16,7 @@ import io
 import json
 import os
 import re
+import time
 import types
 from collections.abc import Callable
 from importlib import metadata
@@ -42,6 +43,8 @@ _TRUSTED = (
 )  # fmt: skip
 """Modules whose functions are known by their name: the key holds their version, or their sources."""
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+(rewax(?:\.[\w.]+)?)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
+_IMPORTED = time.time()
+"""A source that is edited later is not that of the code that runs."""
 _PLAIN = frozenset([bool, int, float, complex, str, bytes])
 
 
@@ -106,7 +109,11 @@ def _versions() -> tuple[str, ...]:
 
 @functools.cache
 def sources(module: str) -> str:
-    """Hash of the sources of a module of rewax, of those that it imports, and so on; of all modules of a package."""
+    """Hash of the sources of a module of rewax, of those that it imports, and so on; of all modules of a package.
+
+    Raises:
+      _UnknownError: a source was edited after this process has imported it.
+    """
     found: dict[str, bytes] = {}
     rest = [module]
     while rest:
@@ -115,6 +122,8 @@ def sources(module: str) -> str:
         if name in found or path is None:
             continue
         found[name] = path.read_bytes()
+        if path.stat().st_mtime > _IMPORTED:
+            raise _UnknownError(name)
         rest += _imports(found[name])
         if name == module and path.stem == "__init__":
             rest += [f"{name}.{inner.stem}" for inner in path.parent.glob("*.py")]

@@ -164,6 +164,15 @@ def test_an_edit_of_a_rule_or_of_the_compiler_changes_the_key(edited, kept, monk
     assert (key(mixed) != plain) == (edited == "rewax.lowering")
 
 
+def test_sources_that_are_newer_than_the_process_have_no_key(kept, monkeypatch):
+    """The process runs the code that it imported, and would keep its bytecode under the name of the new code."""
+    assert key(mixed) is not None
+    imported = bytecode_cache._file_of("rewax.lowering.operations").stat().st_mtime - 1.0
+    bytecode_cache.sources.cache_clear()
+    monkeypatch.setattr(bytecode_cache, "_IMPORTED", imported)
+    assert key(mixed) is None
+
+
 @NEEDS_COMPILER
 def test_rules_of_others_are_not_kept(kept, assembled):
     """Their sources may change without a change of the jaxpr: the derivative would be an old one, in silence."""
@@ -257,6 +266,7 @@ def test_sources_are_those_that_a_module_imports(tmp_path, monkeypatch):
         "__init__": '"""A kit."""\n',
     }
     monkeypatch.setattr(bytecode_cache, "_file_of", lambda module: found.get(module))
+    monkeypatch.setattr(bytecode_cache, "_IMPORTED", float("inf"))  # the test writes them later
     found = {f"rewax.kit.{name}": tmp_path / f"{name}.py" for name in files}
     found["rewax.kit"] = found.pop("rewax.kit.__init__")
 
