@@ -7,7 +7,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, check_observed
 from rewax.types import Array, Key, Observation
 
 
@@ -34,6 +34,7 @@ class History(struct.Replaceable, _Wrapper):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        check_inside(self)
         whole = isinstance(self.steps, (int, np.integer)) and not isinstance(self.steps, bool)
         if not whole or self.steps < 1:
             raise ValueError(f"steps of the history is {self.steps!r}: give a number of observations, at least 1")

@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed, count_inside
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, check_observed, count_inside
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
@@ -63,6 +63,7 @@ class Latency(struct.Replaceable, _Wrapper):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        check_inside(self)
         for name in ("observation", "action"):
             object.__setattr__(self, name, _checked(name, getattr(self, name)))
         check_observed(self.env, self.of)

@@ -49,7 +49,7 @@ class EnvLeaves(struct.Replaceable):
     @classmethod
     def of(cls, env: Any) -> "EnvLeaves":
         """Partition an environment, or a batch: ``Vmap(env=..., env_axis=0)``, see ``stack``."""
-        axis = getattr(env, "env_axis", None)
+        axis = env.env_axis if isinstance(env, Vmap) else None
         env = env.env if axis is not None else env
         named, treedef = jax.tree.flatten_with_path(env)
         names = tuple(jax.tree_util.keystr(path) for path, _ in named)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import State
-from rewax.envs.wrappers import _Wrapper, is_number
+from rewax.envs.wrappers import _Wrapper, check_inside, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
@@ -31,6 +31,9 @@ class Randomized(_Wrapper):
     """
 
     randomize: Randomize = struct.static_field()
+
+    def __post_init__(self) -> None:
+        check_inside(self)
 
     def reset(self, key: Key) -> State:
         key, draw_key = jax.random.split(key)

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.envs.base import NO_LEAF, SENSOR_LEAF, ArraySpec, State
 from rewax.envs.randomized import innermost
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, count_inside
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
@@ -62,6 +62,7 @@ class Sensing(struct.Replaceable, _Wrapper):
     up: tuple[float, float, float] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        check_inside(self)
         bare = getattr(self.env, "unwrapped", self.env)
         placed = {
             name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()

@@ -11,8 +11,9 @@ from rewax.envs.base import ArraySpec, Env, State
 from rewax.short_repr import short_repr
 from rewax.types import Array, Key, PyTree
 
-NOT_FORWARDED = ("env", "made_by")
-"""Attributes that a wrapper does not take from its environment: ``rewax.make`` did not build what is wrapped around."""
+NOT_FORWARDED = ("env", "made_by", "env_axis")
+"""Attributes that a wrapper does not take from its environment: ``rewax.make`` did not build what is wrapped around,
+and what is around a batch is none."""
 
 
 def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
@@ -69,6 +70,20 @@ def count_inside(env: Any, kind: type) -> int:
         count += isinstance(env, kind)
         env = getattr(env, "__dict__", {}).get("env")
     return count
+
+
+def is_or_contains(env: Any, kind: type) -> bool:
+    """Whether an environment, or one that it is wrapped around, is of a kind."""
+    return isinstance(env, kind) or count_inside(env, kind) > 0
+
+
+def check_inside(wrapper: Any) -> None:
+    """Raises ValueError if a wrapper of one running episode is around ``AutoReset`` or a batch."""
+    name = type(wrapper).__name__
+    if count_inside(wrapper, AutoReset):
+        raise ValueError(f"{name} is around AutoReset: put AutoReset outside, AutoReset(env={name}(env=...))")
+    if count_inside(wrapper, Vmap):
+        raise ValueError(f"{name} is around a batch of environments: wrap each environment, then stack or Vmap")
 
 
 def is_number(leaf: Any) -> bool:
@@ -135,7 +150,14 @@ class AutoReset(_Wrapper):
 
     Gradient: exact through the step. No gradient flows from a new episode to the old one of the same environment;
       other environments of a batch are not affected.
+
+    Raises:
+      ValueError: the environment has an ``AutoReset`` already.
     """
+
+    def __post_init__(self) -> None:
+        if count_inside(self, AutoReset):
+            raise ValueError("the environment has an AutoReset already: give it without, one resets all")
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)

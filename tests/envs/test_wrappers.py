@@ -11,6 +11,11 @@ from sharded import traced_under_shard_map
 
 from rewax import struct
 from rewax.envs import registry
+from rewax.envs.history import History
+from rewax.envs.latency import Latency
+from rewax.envs.leaves import EnvLeaves, stack
+from rewax.envs.randomized import Randomized
+from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset, Vmap, select
 from rewax.status import Status
 
@@ -256,3 +261,33 @@ def test_registry(monkeypatch):
 
 def toys_factory(scale, length=None):
     return toys.point_mass(length or (5 if scale == "small" else 50))
+
+
+OF_ONE_EPISODE = {
+    History: lambda env: History(env=env, steps=2),
+    Latency: lambda env: Latency(env=env, action=1),
+    Randomized: lambda env: Randomized(env=env, randomize=lambda key, env: env),
+    Sensing: lambda env: Sensing(env=env),
+}
+
+
+@pytest.mark.parametrize("kind", OF_ONE_EPISODE)
+def test_auto_reset_goes_outside(kind):
+    """Inside, the old episode's buffers and draws would go on in the new one."""
+    sentence = rf"^{kind.__name__} is around AutoReset: put AutoReset outside, AutoReset\(env={kind.__name__}\(env="
+    for inside in (toys.point_mass(), OF_ONE_EPISODE[Latency](toys.point_mass())):
+        with pytest.raises(ValueError, match=sentence):
+            OF_ONE_EPISODE[kind](AutoReset(env=inside))
+    with pytest.raises(ValueError, match=r"^the environment has an AutoReset already: give it without"):
+        AutoReset(env=AutoReset(env=toys.point_mass()))
+
+
+@pytest.mark.parametrize("kind", OF_ONE_EPISODE)
+def test_a_batch_is_made_of_wrapped_environments(kind):
+    with pytest.raises(ValueError, match=f"^{kind.__name__} is around a batch of environments: wrap each environment"):
+        OF_ONE_EPISODE[kind](stack([toys.point_mass(), toys.point_mass()]))
+
+
+def test_a_batch_inside_other_wrappers_is_no_batch():
+    env = AutoReset(env=stack([toys.point_mass(), toys.point_mass()]))
+    assert EnvLeaves.of(env).axis is None and EnvLeaves.of(env.env).axis == 0
