@@ -295,3 +295,5 @@ def test_an_automatic_reset_is_found():
 
     with pytest.raises(AssertionError, match="AutoReset"):
         check_env(struct.dataclass(Resetting)(gain=jnp.float32(0.5)))
+    with pytest.raises(AssertionError, match=r"^env has an AutoReset, and agents add one: give it without AutoReset$"):
+        check_env(AutoReset(env=toys.point_mass()), notify=None)

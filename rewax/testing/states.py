@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax.envs.base import ArraySpec, Env, State
-from rewax.envs.wrappers import is_number
+from rewax.envs.wrappers import AutoReset, is_number, is_or_contains
 from rewax.status import describe, remedy
 from rewax.types import Array
 from rewax.viz import shapes
@@ -15,6 +15,7 @@ from rewax.viz import shapes
 
 def check_specs(env: Env) -> None:
     """Checks the specs of observations and actions, and the length of an episode."""
+    assert not is_or_contains(env, AutoReset), "env has an AutoReset, and agents add one: give it without AutoReset"
     specs, action, length = env.observation_spec, env.action_spec, env.episode_length
     assert isinstance(specs, dict) and specs, f"observation_spec is {specs!r}: use a non-empty dict of ArraySpec"
     for name, spec in [*specs.items(), ("action_spec", action)]:

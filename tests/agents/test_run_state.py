@@ -14,6 +14,7 @@ from rewax.agents.run_state import RunState, partition, run_keys, start_environm
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs.leaves import EnvLeaves, stack
 from rewax.envs.randomize import Scale, Uniform, hook
+from rewax.envs.wrappers import AutoReset
 
 NUM, LENGTH = 3, 5
 CONFIG = SAPOConfig(
@@ -112,6 +113,15 @@ def test_each_episode_draws_parameters_of_its_own():
 def test_a_batch_of_another_size_is_refused_before_anything_compiles():
     with pytest.raises(ValueError, match=r"^num_envs is 3, but .gain of the batch has shape \(2,\): give every"):
         make_sapo(stack(ENVS[:2]), CONFIG)
+
+
+def test_an_environment_that_resets_by_itself_is_refused():
+    """Its observation after an episode's end is that of the next one, and values would bootstrap from it."""
+    env = AutoReset(env=ENVS[0])
+    sentence = "^env has an AutoReset, but agents reset by themselves: give the environment without AutoReset$"
+    for given in (env, stack([env] * 3)):
+        with pytest.raises(ValueError, match=sentence):
+            make_sapo(given, CONFIG)
 
 
 def test_a_hook_that_the_environment_refuses_is_refused_before_anything_compiles():
