@@ -67,7 +67,13 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
         name = jax.tree_util.keystr(path)
         if jnp.shape(a) != jnp.shape(b):
             raise ValueError(f"randomize gave {name} shape {jnp.shape(b)} instead of {jnp.shape(a)}: keep the shape")
-        found[name] = jnp.asarray(b, jnp.result_type(a))
+        old, drawn = jnp.result_type(a), jnp.result_type(b)
+        if jnp.issubdtype(drawn, jnp.inexact) and not jnp.issubdtype(old, jnp.inexact):
+            raise ValueError(
+                f"randomize gave {name} the type {drawn} instead of {old}: draw whole numbers, or make the parameter "
+                "of the environment a float"
+            )
+        found[name] = jnp.asarray(b, old)
     return found
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import toys
 
+from rewax import struct
 from rewax.envs.randomize import Constant, Scale, hook
-from rewax.envs.randomized import Randomized
+from rewax.envs.randomized import Randomized, changed_by
 from rewax.envs.wrappers import AutoReset
 
 
@@ -86,3 +87,23 @@ def test_draws_inside_draws_all_act_until_the_next_reset():
     assert 0.75 <= gain <= 3.0 and state.drawn[".env.gain"] == 1.5 and gain != 1.5
     moved = outside.step(state, jnp.full(1, 0.1)).physics - state.physics
     np.testing.assert_allclose(moved, 0.1 * gain, rtol=1e-4)
+
+
+@struct.dataclass
+class Counting(struct.Replaceable):
+    """Stands for an environment with a whole number among its parameters."""
+
+    num_pushes: jax.Array
+    gain: jax.Array
+
+
+def test_a_draw_is_never_rounded_to_a_whole_number():
+    env = Counting(num_pushes=jnp.int32(3), gain=jnp.float32(1.0))
+    sentence = r"^randomize gave .num_pushes the type float32 instead of int32: draw whole numbers, or make"
+    with pytest.raises(ValueError, match=sentence):
+        changed_by(
+            lambda key, env: env.replace(num_pushes=jax.random.uniform(key, (), maxval=9.0)), jax.random.key(0), env
+        )
+    drawn = changed_by(lambda key, env: env.replace(num_pushes=5, gain=2), jax.random.key(0), env)
+    assert drawn[".num_pushes"] == 5 and drawn[".num_pushes"].dtype == jnp.int32
+    assert drawn[".gain"] == 2.0 and drawn[".gain"].dtype == jnp.float32
