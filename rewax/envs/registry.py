@@ -173,7 +173,8 @@ def _sensor_options(factory: Callable[..., Env], given: Mapping[str, Any]) -> tu
         return {}, dict(given)
     own = dict(given)
     names = own.pop("sensors")
-    resolution = None if "resolution" in _keywords(factory) else own.pop("resolution", None)
+    unused = not names and own.get("resolution") is not None  # left to the factory, or refused with its options
+    resolution = None if unused or "resolution" in _keywords(factory) else own.pop("resolution", None)
     return {"names": names, "resolution": resolution} if names else {}, own
 
 
