@@ -52,7 +52,10 @@ class Task(struct.Replaceable):
         return jnp.zeros((), bool)
 
     def next_task(self, physics: Any, key: Key) -> PyTree:
-        """The value of ``physics.task`` after a step: a goal that changes, for example."""
+        """The value of ``physics.task`` after a step: a goal that changes, for example.
+
+        ``reward`` and ``terminated`` of the step see the value before, ``observe`` the one after.
+        """
         del key
         return physics.task
 
@@ -136,6 +139,7 @@ class Task(struct.Replaceable):
         action = jnp.clip(action, -1.0, 1.0).astype(state.physics.action.dtype)
         physics, status = self.advance(state.physics, action)
         reward, metrics = checked_reward(self, self.reward(physics))
+        terminated = self.terminated(physics)
         key = state.key
         if physics.task is not None:
             key, task_key = jax.random.split(key)
@@ -148,7 +152,7 @@ class Task(struct.Replaceable):
             reward=reward,
             metrics=metrics,
             episode_length=self.max_steps,
-            terminated=self.terminated(physics),
+            terminated=terminated,
             status=status,
         )
 

@@ -75,6 +75,22 @@ def at(state, x, v=0.0):
     return state.replace(physics=state.physics.replace(rigid=bodies))
 
 
+@struct.dataclass
+class Chasing(Rail):
+    """Over when the goal that the reward sees is 0.25."""
+
+    def terminated(self, physics):
+        return physics.task[0] == 0.25
+
+
+def test_reward_and_end_of_a_step_see_one_goal(start):
+    env = Chasing(model=ENV.model, num_substeps=1, max_steps=MAX_STEPS)
+    state = start.replace(physics=start.physics.replace(task=jnp.array([0.25])))
+    new = jax.jit(env.step)(state, jnp.zeros(1))
+    assert new.terminated and new.obs["goal"] != 0.25
+    np.testing.assert_allclose(new.reward, new.physics.rigid.qpos[0] + 0.25, rtol=1e-6)
+
+
 def test_it_is_an_environment():
     check_env(ENV)
 
