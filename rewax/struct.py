@@ -166,13 +166,20 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
       tree: an environment, a scene, a material, ...
       path: names of fields, keys of dictionaries and indices of tuples, as ``rewax.envs.randomize.leaves`` lists them:
         ``"scene.material.elasticity.youngs_modulus"``, ``"scene.colliders[0].friction"``.
-      value: the new number or array.
+      value: the new number or array, of the old shape, or with one more axis in front (environments, particles);
+        None: the parameter is absent.
 
     Raises:
-      ValueError: there is no such field. The message lists the existing fields.
+      ValueError: there is no such field (the message lists the existing fields), or the value has another shape or is
+        no number.
 
     Gradient: exact with respect to ``value``.
     """
+    return _replaced(tree, path, value, path)
+
+
+def _replaced(tree: Any, path: str, value: Any, whole: str) -> Any:
+    """``replace_leaf``; ``whole`` is the path from the outermost object, for messages."""
     name, rest = re.match(r"(\[[^\]]*\]|[^.\[]*)\.?(.*)", path).groups()  # type: ignore[union-attr]
     if name.startswith("["):
         key: Any = name[1:-1].strip("'\"")
@@ -187,11 +194,34 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
         raise ValueError(f"{type(tree).__name__} has no field {key!r}: {known}")
     if isinstance(tree, tuple):
         i = int(key)
-        changed = replace_leaf(tree[i], rest, value) if rest else value
+        changed = _replaced(tree[i], rest, value, whole) if rest else _fitting(tree[i], value, whole)
         return type(tree)((*tree[:i], changed, *tree[i + 1 :]))
     old = tree[key] if isinstance(tree, dict) else getattr(tree, key)
-    changed = replace_leaf(old, rest, value) if rest else value
+    changed = _replaced(old, rest, value, whole) if rest else _fitting(old, value, whole)
     return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})  # pyright: ignore[reportArgumentType]
+
+
+def _fitting(old: Any, value: Any, path: str) -> Any:
+    """The value. Raises ValueError if the old one is a number or an array and the new one cannot take its place."""
+    shape = None if isinstance(old, (tuple, list, dict)) else _shape_of_numbers(old)
+    if shape is None or value is None:  # None: the parameter is absent
+        return value
+    new = _shape_of_numbers(value)
+    if new is None:
+        raise ValueError(f"{path} is {value!r}: give a number or an array of shape {shape}")
+    if new != shape and new[1:] != shape:
+        raise ValueError(f"{path} has shape {shape}, but the new value {new}: give numbers of shape {shape}")
+    return value
+
+
+def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
+    """The shape of a number or an array of numbers; None for other values."""
+    try:
+        value = value if hasattr(value, "dtype") else np.asarray(value)
+    except (ValueError, TypeError):  # rows of several lengths, traced numbers in a tuple
+        return None
+    is_number = jnp.issubdtype(value.dtype, jnp.number) or value.dtype == bool
+    return tuple(value.shape) if is_number else None
 
 
 class Replaceable:

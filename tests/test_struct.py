@@ -129,3 +129,23 @@ def test_replace_leaf_goes_through_objects_tuples_and_dictionaries():
     }.items():
         with pytest.raises(ValueError, match=re.escape(sentence)):
             struct.replace_leaf(scene, path, 1.0)
+
+
+def test_replace_leaf_keeps_shapes():
+    @struct.dataclass
+    class Scene:
+        balls: tuple
+        gravity: jax.Array
+
+    scene = Scene(balls=(Ball(radius=1.0),), gravity=(0.0, -9.81, 0.0))
+    for path, value, sentence in (
+        ("gravity", -9.81, "gravity has shape (3,), but the new value (): give numbers of shape (3,)"),
+        ("gravity", jnp.ones((3, 2)), "gravity has shape (3,), but the new value (3, 2): give numbers of shape (3,)"),
+        ("balls[0].radius", jnp.ones((2, 1)), "balls[0].radius has shape (), but the new value (2, 1)"),
+        ("balls[0].radius", "abc", "balls[0].radius is 'abc': give a number or an array of shape ()"),
+    ):
+        with pytest.raises(ValueError, match=f"^{re.escape(sentence)}"):
+            struct.replace_leaf(scene, path, value)
+    assert struct.replace_leaf(scene, "gravity", (0, -1, 0)).gravity[1] == -1.0
+    assert struct.replace_leaf(scene, "gravity", jnp.ones((4, 3))).gravity.shape == (4, 3)  # four environments
+    assert jax.grad(lambda r: struct.replace_leaf(scene, "balls[0].radius", r).balls[0].radius)(2.0) == 1.0
