@@ -114,7 +114,8 @@ class _Whole:
         elements: Any = self.static if stencil else Listed(*given, num_vertices=self.num_vertices())
         flat = (stencils.gather if stencil else stencils.gather_listed)(elements, tuple(leaves))
         at = tuple(jax.tree.unflatten(treedef, flat[k : k + len(leaves)]) for k in range(0, len(flat), len(leaves)))
-        results = self.function(shared, (own, at))
+        count, results = self.count(given), self.function(shared, (own, at))
+        results = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], count)), results)
         if not self.sums:
             return results
         sums = (stencils.assemble if stencil else stencils.assemble_listed)(elements, tuple(jax.tree.leaves(results)))

@@ -53,7 +53,10 @@ def _stored(tree: T, store: ByPlatform, num_once: int | None = None) -> T:
 
 def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arrays:
     del static, residuals
-    first = jax.lax.slice(arrays[0].reshape(-1), (0,), (1,))[0]
+    some = next((a for a in arrays if a.size), None)
+    if some is None:
+        return arrays
+    first = jax.lax.slice(some.reshape(-1), (0,), (1,))[0]
     never = first.astype(jnp.float32) < -jnp.inf  # not even for NaN
     more, out = jax.lax.while_loop(
         lambda carry: carry[0],

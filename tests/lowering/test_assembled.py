@@ -138,6 +138,18 @@ def test_one_field_of_single_numbers(x64, machine_only, random_like, relative_er
 
 
 @NEEDS_COMPILER
+def test_results_that_all_elements_share(machine_only):
+    of, field = elements(13), jnp.ones(VERTICES, np.float32)
+
+    def shared_by_corners(size, given):
+        return (size, 2.0 * size, size)
+
+    np.testing.assert_array_equal(at_elements(lambda size, given: size)(of, 3.0, (), field), jnp.full(13, 3.0))
+    expected = sum(jnp.zeros_like(field).at[k].add(n) for k, n in zip(of.indices.T, (3.0, 6.0, 3.0), strict=True))
+    np.testing.assert_array_equal(assembled(shared_by_corners)(of, 3.0, (), field), expected)
+
+
+@NEEDS_COMPILER
 @pytest.mark.parametrize("listed", [0, 30])
 def test_environments_are_their_own(x64, machine_only, listed):
     """One alone has the bits that it has among others, of which one is not finite."""

@@ -116,3 +116,11 @@ def test_on_a_gpu_speed_costs_nothing_and_correctness_a_barrier():
     both = program(lambda y: sum(jax.tree.leaves(stored(y, (y + 2.0, y + 3.0)))))
     barriers = [line.count("tensor<") for line in both.splitlines() if "stablehlo.optimization_barrier" in line]
     assert "while" not in both and barriers == [1]
+
+
+@pytest.mark.parametrize("boundary", [materialize, compute_once])
+def test_empty_arrays_are_handed_on(boundary):
+    none, some = jnp.zeros((2, 0)), jnp.arange(3.0)
+    for tree in ((none, some), (none,), ()):
+        jax.tree.map(np.testing.assert_array_equal, jax.jit(boundary)(tree), tree)
+    np.testing.assert_array_equal(jax.grad(lambda x: jnp.sum(boundary((none, x))[1] ** 2))(some), 2.0 * some)
