@@ -7,9 +7,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 
 from rewax.lowering.linear_primitive import Arrays, Rule, linear_call, no_transpose
+from rewax.lowering.report import name_of
 from rewax.types import Array
 
 T = TypeVar("T")
@@ -24,7 +26,8 @@ def recomputed(function: Callable[..., T], derivative_of: Callable[..., T] | Non
 
     Args:
       function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument:
-        as with ``jax.jit``, values from outside are those of the first trace, until ``jax.clear_caches()``.
+        as with ``jax.jit``, values from outside are those of the first trace, until ``jax.clear_caches()``. Traced
+        values from outside raise a ValueError.
       derivative_of: function to differentiate instead, called as ``derivative_of(result, *args)`` with ``result =
         function(*args)``. Its derivative with respect to ``args`` must be that of ``function``. For the result of an
         iteration, the implicit function theorem provides it without a second iteration. None: ``function`` itself.
@@ -162,7 +165,10 @@ def trace_context() -> tuple[Any, int]:
 def _results(program: Program, shapes: tuple, context: Any) -> Any:
     del context  # cache key only
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
-    return jax.eval_shape(program.apply, arrays)
+    traced, results = jax.make_jaxpr(program.apply, return_shape=True)(arrays)
+    if any(isinstance(constant, Tracer) for constant in traced.consts):
+        raise ValueError(f"{name_of(program.function)} uses a traced value from outside: pass it as an argument")
+    return results
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

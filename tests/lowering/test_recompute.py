@@ -217,3 +217,19 @@ def test_what_a_function_closes_over_is_read_again_after_clear_caches(way):
     value, gradient = value_and_gradient()
     assert {name: float(a[0]) for name, a in value.items()} == {"b": 3.0, "c": 3.0}
     assert float(gradient[0]) == 6.0
+
+
+@pytest.mark.parametrize("way", [recomputed, interpreted, of_elements])
+@pytest.mark.parametrize(
+    "around", [jax.grad, jax.jit, lambda f: jax.jit(jax.grad(f))], ids=["grad", "jit", "jit(grad)"]
+)
+def test_a_traced_value_from_outside_is_refused(way, around, recwarn):
+    """It is no argument: compiled, its derivative would be zero in silence."""
+
+    def loss(factor):
+        return jnp.sum(way(lambda x: x * factor)(jnp.ones(3)))
+
+    with pytest.raises(ValueError, match="<lambda> uses a traced value from outside: pass it as an argument"):
+        around(loss)(2.0)
+    assert not recwarn.list
+    assert float(loss(2.0)) == 6.0
