@@ -180,9 +180,7 @@ def test_the_number_of_steps_is_bounded(x64):
 
 
 def searched(form):
-    return jax.jit(
-        lambda rows, missed, change, slope, curve: form(4, (*rows[1:], missed, change, slope, curve), ())[0]
-    )
+    return jax.jit(lambda rows, missed, change, slope, curve: form(4, (*rows[1:], missed, change, slope, curve), ())[0])
 
 
 SEARCHES = {"at all kinks": searched(ls._at_all_kinks), "piece by piece": searched(ls._piece_by_piece)}
