@@ -277,7 +277,7 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
 
 
 @checked(colliders=COLLIDERS, num_bodies=integer(0, "give the number of bodies"))
-def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
+def check_bodies(colliders: Sequence[Collider], num_bodies: int) -> None:
     """Raises ValueError if a collider's body has no pose (JAX would clamp the index silently)."""
     for i, collider in enumerate(colliders):
         if not 0 <= collider.body < num_bodies:
