@@ -10,7 +10,7 @@ import numpy as np
 from rewax.lowering.from_jaxpr import OperationList
 from rewax.lowering.instructions import NUMBERS
 from rewax.lowering.operations import Loop, Operation, UnsupportedError
-from rewax.lowering.selection import Cover, Registers, Step, in_runs, needed_for
+from rewax.lowering.selection import NOTHING, Cover, Registers, Step, in_runs, needed_for
 
 
 class Bytecode(NamedTuple):
@@ -89,7 +89,7 @@ def in_registers(
     for k, (instruction, i, operands, extra) in enumerate(steps):
         locations = tuple(registers.register[o] for o in operands)
         registers.release(k, dying[k])
-        to = () if i is None else (registers.take(i),)
+        to = () if i == NOTHING else (registers.take(i),)
         code.append(instruction, (*to, *locations, *extra))
     numbers = np.array([_lane(operations[i], listing.dtype) for i in constants], listing.dtype)
     found = registers.register | {i: registers.register[j] for i, j in same.items() if j in registers.register}
@@ -136,10 +136,10 @@ def _loop_steps(
     exit_at = (operations[loop.condition].place, loop.condition + 0.5)
     return [
         *(((before, -2), Step(copies[i], i, (value.initial,))) for i, value in own.items()),
-        ((before, -1), Step("loop_begin", None, ())),
-        (exit_at, Step("loop_exit", None, (loop.condition,))),
+        ((before, -1), Step("loop_begin", NOTHING, ())),
+        (exit_at, Step("loop_exit", NOTHING, (loop.condition,))),
         *(((after, 0), Step(copies[i], i, (following,))) for i, following in moved.items()),
-        ((after, 1), Step("loop_back", None, ())),
+        ((after, 1), Step("loop_back", NOTHING, ())),
     ]
 
 
@@ -147,7 +147,7 @@ def _keep_through_loops(steps: Sequence[Step], registers: Registers) -> None:
     """Values from before a loop that it reads are read again in its next turn."""
     first: dict[int, int] = {}
     for k, step in enumerate(steps):
-        if step.operation is not None:
+        if step.operation != NOTHING:
             first.setdefault(step.operation, k)
     begins = []
     for end, step in enumerate(steps):

@@ -15,13 +15,16 @@ from rewax.lowering.from_jaxpr import OperationList
 from rewax.lowering.instructions import BY_NAME, COMMUTATIVE, INSTRUCTIONS, NUMBERS, Expression
 from rewax.lowering.operations import Operation, UnsupportedError
 
+NOTHING = -1
+"""The operation of a step that computes no value."""
+
 
 class Step(NamedTuple):
     """An instruction, the operation that it computes and the operations that it reads."""
 
     instruction: Expression
-    operation: int | None
-    """None: the step only changes what is computed next."""
+    operation: int
+    """``NOTHING``: the step only changes what is computed next."""
     operands: tuple[int, ...]
     extra: tuple[int, ...] = ()
 
@@ -136,7 +139,7 @@ class Registers:
         self.register: dict[int, int] = {}
         self.count = 0
         self.free: list[int] = []
-        self.last = {o: k for k, s in enumerate(steps) for o in (s.operation, *s.operands) if o is not None}
+        self.last = {o: k for k, s in enumerate(steps) for o in (s.operation, *s.operands) if o != NOTHING}
         self.last |= dict.fromkeys(kept, len(steps))
 
     def release(self, k: int, values: Iterable[int]) -> None:
@@ -166,4 +169,4 @@ def in_runs(rows: Sequence[tuple[Expression, tuple[int, ...]]]) -> np.ndarray:
     return np.array(code, np.int32)
 
 
-__all__ = ["Cover", "Registers", "Step", "in_runs", "needed_for"]
+__all__ = ["NOTHING", "Cover", "Registers", "Step", "in_runs", "needed_for"]

@@ -7,20 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from constraint_problems import SIX, cost, problem, spd
 from hypothesis import given
 from hypothesis import strategies as st
 from sharded import traced_under_shard_map
 
-from rewax.physics.rigid import line_search as ls
 from rewax.physics.rigid import solver as cs
 from rewax.physics.rigid.solver import Rows
 
 SEEDS = st.integers(0, 10**6)
-
-
-def spd(rng, n: int, condition: float = 1e3) -> np.ndarray:
-    q = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    return (q * np.geomspace(1.0, condition, n)) @ q.T
 
 
 # --- Linear systems ---------------------------------------------------------------------------------------------------
@@ -51,33 +46,6 @@ def test_solve_spd_of_a_batch_is_a_loop(x64):
 
 # --- The minimum ------------------------------------------------------------------------------------------------------
 
-KINDS = {
-    "equality": (-np.inf, np.inf),
-    "friction": (-1.0, 1.0),
-    "contact": (0.0, np.inf),
-}
-
-
-def problem(seed: int, n: int, kinds: list[str], spread: float = 3.0):
-    """A random mass matrix, force and rows; rows with a finite upper bound first."""
-    rng = np.random.default_rng(seed)
-    bounds = np.array([KINDS[k] for k in kinds]) * rng.uniform(0.3, 3.0, (len(kinds), 1))
-    rows = Rows(
-        jacobian=rng.standard_normal((len(kinds), n)),
-        stiffness=10.0 ** rng.uniform(-1, spread, len(kinds)),
-        target=rng.standard_normal(len(kinds)),
-        lower=np.nan_to_num(bounds[:, 0], nan=0.0, neginf=-np.inf),
-        upper=bounds[:, 1],
-    )
-    return spd(rng, n, 30.0), 3.0 * rng.standard_normal(n), rows, 3.0 * rng.standard_normal(n)
-
-
-def cost(mass, force, rows, a):
-    """What the accelerations minimise: quadratic near the target, linear beyond the bounds of the force."""
-    missed = rows.jacobian @ a - rows.target
-    f = np.clip(-rows.stiffness * missed, rows.lower, rows.upper)
-    return 0.5 * a @ mass @ a - force @ a - np.sum(f * missed + 0.5 * f * f / rows.stiffness)
-
 
 def brute_force(mass, force, rows):
     """The one way to have each row at its lower bound, at its upper or between them that is consistent."""
@@ -102,9 +70,6 @@ def brute_force(mass, force, rows):
 @functools.partial(jax.jit, static_argnames=("max_iterations", "num_bounded"))
 def accelerations(mass, force, rows, start, max_iterations=50, num_bounded=4):
     return cs.solve_accelerations(mass, force, rows, start, max_iterations=max_iterations, num_bounded=num_bounded)
-
-
-SIX = ["equality", "friction", "friction", "friction", "contact", "contact", "contact"]
 
 
 @given(seed=SEEDS)
@@ -174,69 +139,6 @@ def test_the_number_of_steps_is_bounded(x64):
     assert np.isnan(many[1]).all()
     for env in (0, 2):
         np.testing.assert_allclose(many[env], end, rtol=1e-10)
-
-
-# --- The line search --------------------------------------------------------------------------------------------------
-
-
-def searched(form):
-    return jax.jit(lambda rows, missed, change, slope, curve: form(4, (*rows[1:], missed, change, slope, curve), ())[0])
-
-
-SEARCHES = {"at all kinks": searched(ls._at_all_kinks), "piece by piece": searched(ls._piece_by_piece)}
-"""The form that XLA compiles, and the form that the machine runs."""
-BOTH = pytest.mark.parametrize("line_search", SEARCHES.values(), ids=SEARCHES.keys())
-
-
-@BOTH
-@given(seed=SEEDS, size=st.sampled_from([0.01, 1.0, 100.0]))
-def test_the_line_search_finds_the_least_cost(x64, line_search, seed, size):
-    """Against a grid that is refined around its best point until nothing is left."""
-    mass, force, rows, start = problem(seed, 4, SIX)
-    rng = np.random.default_rng(seed + 1)
-    missed = rows.jacobian @ start - rows.target
-    gradient = mass @ start - force - rows.jacobian.T @ np.clip(-rows.stiffness * missed, rows.lower, rows.upper)
-    direction = -size * spd(rng, 4) @ gradient  # downhill
-    length = float(
-        line_search(rows, missed, rows.jacobian @ direction, direction @ gradient, direction @ mass @ direction)
-    )
-    low, high = 0.0, 1.0
-    while cost(mass, force, rows, start + high * direction) < cost(mass, force, rows, start + 0.5 * high * direction):
-        high *= 2.0
-    for _ in range(60):
-        grid = np.linspace(low, high, 21)
-        best = int(np.argmin([cost(mass, force, rows, start + t * direction) for t in grid]))
-        low, high = grid[max(best - 1, 0)], grid[min(best + 1, 20)]
-        if high - low < 1e-7 * high:
-            break
-    # The cost is flat at its least: half of the digits.
-    assert length == pytest.approx(0.5 * (low + high), rel=1e-5)
-
-    def slope_at(t):
-        a = start + t * direction
-        f = np.clip(-rows.stiffness * (rows.jacobian @ a - rows.target), rows.lower, rows.upper)
-        return direction @ (mass @ a - force - rows.jacobian.T @ f)
-
-    assert abs(slope_at(length)) < 1e-9 * abs(slope_at(0.0))
-
-
-@BOTH
-def test_the_line_search_ends_on_a_kink(x64, line_search):
-    """Where the derivative jumps in effect (a row so stiff that it is a step), and beyond the last kink."""
-    steep = Rows(*(np.array(x) for x in ([[1.0]], [1e12], [0.0], [0.0], [np.inf])))
-    got = line_search(steep, np.array([2.0]), np.array([-1.0]), np.array(-1.0), np.array(0.1))
-    np.testing.assert_allclose(got, 2.0, rtol=1e-9)
-    leaving = Rows(*(np.array(x) for x in ([[1.0]], [5.0], [0.0], [0.0], [np.inf])))
-    # -s + t / 2 + min(5 t, 10) is zero:
-    for s, length in ((5.5, 1.0), (20.0, 20.0)):
-        got = line_search(leaving, np.array([-2.0]), np.array([1.0]), np.array(-s), np.array(0.5))
-        np.testing.assert_allclose(got, length, rtol=1e-14)
-
-
-@BOTH
-def test_the_line_search_stays_where_there_is_no_direction(x64, line_search):
-    rows = Rows(*(np.array(x) for x in ([[1.0]], [5.0], [0.0], [0.0], [np.inf])))
-    assert float(line_search(rows, np.array([1.0]), np.zeros(1), np.array(0.0), np.array(0.0))) == 0.0
 
 
 # --- The derivative ---------------------------------------------------------------------------------------------------
