@@ -35,12 +35,12 @@ def unclipped(self, state, action):
 
 def half_cut(new, old, action):
     """A reward whose second part has no gradient."""
-    return new.replace(reward=new.reward + jnp.sum(jax.lax.stop_gradient(new.physics)))
+    return new.replace(reward=new.reward + jnp.sum(jax.lax.stop_gradient(new.obs["x"])))
 
 
 def jumping(new, old, action):
     """A reward that jumps too often for any difference, and has the slope of its smooth part."""
-    action = jnp.clip(action, -1.0, 1.0)
+    action = jnp.clip(jnp.nan_to_num(action), -1.0, 1.0)
     return new.replace(reward=jnp.sum(action) + 100.0 * jnp.sum(12345.0 * jax.lax.stop_gradient(action) % 1.0))
 
 
@@ -132,6 +132,17 @@ def ends_early(both):
 def late_reward(new, old, action):
     """As that of a tool that reaches the material with the fourth step."""
     return new.replace(reward=jnp.where(new.step_count >= 4, new.reward, 0.0))
+
+
+def unending(new, old, action):
+    """An environment that builds its state by hand, and never ends an episode that has failed."""
+    return new.replace(status=jnp.int32(0), terminated=jnp.bool_(False))
+
+
+def unnoticed(new, old, action):
+    """Takes an action of NaN into its physics, and does not say so."""
+    lost = jnp.isnan(action[0])
+    return new.replace(physics=jnp.where(lost, jnp.nan, new.physics), status=jnp.where(lost, 0, new.status))
 
 
 COUNTER = itertools.count()
@@ -237,6 +248,16 @@ BROKEN = {
     "the episode is not truncated at episode_length 5": {"step": step_with(ends_early(False))},
     "metric 'distance' of reset is not finite": {
         "reset": reset_with(lambda s: s.replace(metrics={"distance": jnp.nan * s.reward}))
+    },
+    "step gives the same key for different keys, so that later episodes begin alike: keep state.key, or split it": {
+        "step": step_with(lambda new, *_: new.replace(key=jax.random.key(0)))
+    },
+    "a step whose physics is NaN does not end the episode with Status.NAN: build the state with next_state": {
+        "step": step_with(unending)
+    },
+    "a step with an action of NaN does not end the episode with Status.NAN": {"step": step_with(unnoticed)},
+    "a step whose physics is NaN has a reward that is not finite: give 0 there": {
+        "step": step_with(lambda new, old, action: new.replace(reward=jnp.where(new.status, jnp.nan, new.reward)))
     },
     "before episode_length": {"step": step_with(lambda new, *_: new.replace(truncated=new.step_count >= 3))},
 }

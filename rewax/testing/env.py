@@ -35,7 +35,9 @@ def check_env(
     - observations match their spec, and states keep their structure, so that ``lax.scan`` can carry them;
     - ``reset`` depends on its key only, and ``step`` on state and action only;
     - ``jit`` and ``vmap`` change results by rounding only;
-    - the first steps set no bit of ``status``;
+    - ``step`` keeps keys of different states different;
+    - the first steps set no bit of ``status``, and a step with NaN in the physics or in the action ends the episode
+      with a fatal one;
     - ``step`` clips actions, never resets, truncates exactly at ``episode_length``, and never truncates a state that
       terminates;
     - the gradient of the reward with respect to the actions is finite and not zero, and agrees with central differences
@@ -78,6 +80,7 @@ def check_env(
     say("repeated, and without jit")
     functions.check_purity(env, step, state, action, new, tolerance)
     functions.check_action_bounds(env, step, state, tolerance)
+    functions.check_step_key(step, state, action)
     say("three side by side")
     functions.check_vmap(env, reset, step, key, tolerance)
     say(f"gradient through {gradient_steps} steps")
@@ -89,4 +92,5 @@ def check_env(
     if check_full_episode:
         say(f"an episode of {env.episode_length} steps")
         functions.check_episode(env, step, state, key)
+    functions.check_failure(step, state, action)
     say("passed")

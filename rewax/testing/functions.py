@@ -9,7 +9,7 @@ import numpy as np
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.status import FATAL, describe, remedy
-from rewax.testing.states import check_values
+from rewax.testing.states import check_values, finite
 from rewax.testing.traced import named, random_action
 from rewax.types import Array, Key, PyTree
 
@@ -26,6 +26,34 @@ def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
     assert differs, "reset gives the same state for different keys: draw the initial state from the key"
     differs = not np.array_equal(jax.random.key_data(state.key), jax.random.key_data(other.key))
     assert differs, "reset leaves the same key in the state for different keys: derive state.key from the argument"
+
+
+def check_step_key(step: _Step, state: State, action: Array) -> None:
+    """Checks that states whose keys differ have different keys after a step."""
+    other = state.replace(key=jax.random.fold_in(state.key, 3))
+    a, b = (jax.random.key_data(step(s, action).key) for s in (state, other))
+    differs = not np.array_equal(a, b)
+    assert differs, (
+        "step gives the same key for different keys, so that later episodes begin alike: keep state.key, or split it"
+    )
+
+
+def check_failure(step: _Step, state: State, action: Array) -> None:
+    """Checks that a step with NaN in the physics or in the action fails, unless nothing of its result is non-finite."""
+
+    def spoilt(tree: PyTree) -> PyTree:
+        return jax.tree.map(lambda a: a * jnp.nan if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)
+
+    for what, new in (
+        ("whose physics is NaN", step(state.replace(physics=spoilt(state.physics)), action)),
+        ("with an action of NaN", step(state, spoilt(action))),
+    ):
+        result = all(np.isfinite(a).all() for a in _floats((new.physics, new.obs, new.reward)))
+        failed = bool(new.terminated) and bool(int(new.status) & FATAL)
+        assert result or failed, (
+            f"a step {what} does not end the episode with Status.NAN: build the state with next_state, which does"
+        )
+        assert finite(new.reward), f"a step {what} has a reward that is not finite: give 0 there, as next_state does"
 
 
 def check_purity(env: Env, step: _Step, state: State, action: Array, new: State, tolerance: float) -> None:
