@@ -15,6 +15,7 @@ from rewax.viz.colors import color_by, shape_color
 from rewax.viz.ground import grid_spacing
 from rewax.viz.live_guard import guarded
 from rewax.viz.live_matter import KINDS, ROOT, Matter
+from rewax.viz.looks import Look, looks
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, playback
 from rewax.viz.skin import skinned
@@ -52,7 +53,7 @@ class LiveViewer:
         self._recording: Recording | None = None
         self._framing: Framing | None = None
         self._root: Any = None
-        self._solids: list[tuple[int, Any]] = []
+        self._solids: list[tuple[Look, Any]] = []
         self._matter: Matter | None = None
         self._time, self._duration, self._speed, self._shown = 0.0, 0.0, 1.0, -1
         gui = self._server.gui
@@ -132,18 +133,16 @@ class LiveViewer:
             position=tuple(middle + (framing.floor - middle @ up) * up),
         )
         self._solids = []
-        for i, shape in enumerate(recording.shapes(0)):
-            if shape["kind"] == "plane":
-                continue
-            surface, (color, opacity) = mesh(shape), shape_color(shape)
+        for k, look in enumerate(looks(recording)):
+            surface, (color, opacity) = mesh(look.drawing), shape_color(look.drawing)
             handle = scene.add_mesh_simple(
-                f"{ROOT}/solids/{i}",
+                f"{ROOT}/solids/{k}",
                 np.asarray(surface.vertices, np.float32),
                 np.asarray(surface.triangles, np.uint32),
                 color=tuple(float(x) for x in color),
                 opacity=None if opacity >= 1.0 else opacity,
             )
-            self._solids.append((i, handle))
+            self._solids.append((look, handle))
         self._matter = None
         if recording.particles is not None:
             self._by.options = color_by(recording)
@@ -162,8 +161,9 @@ class LiveViewer:
             return
         with self._server.atomic():
             self._root.position = tuple(framing.targets[0] - framing.targets[frame])
-            for i, handle in self._solids:
-                place, turn = pose(recording.shapes(frame)[i])
+            for look, handle in self._solids:
+                place, turn = pose(recording.shapes(frame)[look.index])
+                handle.visible = look.shown is None or bool(look.shown[frame])
                 handle.position, handle.wxyz = tuple(place), (turn[3], *turn[:3])
             if self._matter is not None:
                 self._matter.draw(frame)

@@ -15,6 +15,7 @@ from rewax.status import Status
 from rewax.viz.camera import Framing, frame_both
 from rewax.viz.colors import SCALE, color_by, material_colors, named_values, renamed, shape_color, value_range
 from rewax.viz.ground import grid_spacing
+from rewax.viz.looks import looks
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters, playback
 from rewax.viz.seen import Seen
@@ -143,13 +144,11 @@ def _value(values: np.ndarray) -> dict[str, Any]:
 
 
 def _solids(recording: Recording) -> list[dict[str, Any]]:
-    """Meshes of the rigid shapes in their own frames, and their poses in every frame of the recording."""
+    """Meshes of the rigid shapes in their own frames, their poses in every frame, and the frames that show them."""
     solids = []
-    for i, first in enumerate(recording.shapes(0)):
-        if first["kind"] == "plane":
-            continue
-        surface, (color, opacity) = mesh(first), shape_color(first)
-        poses = [np.concatenate(pose(recording.shapes(frame)[i])) for frame in range(recording.num_frames)]
+    for look in looks(recording):
+        surface, (color, opacity) = mesh(look.drawing), shape_color(look.drawing)
+        poses = [np.concatenate(pose(recording.shapes(frame)[look.index])) for frame in range(recording.num_frames)]
         solids.append(
             {
                 "vertices": _packed(surface.vertices, np.float32),
@@ -158,6 +157,7 @@ def _solids(recording: Recording) -> list[dict[str, Any]]:
                 "poses": _packed(np.stack(poses), np.float32),
                 "color": _rounded(color),
                 "opacity": opacity,
+                "shown": None if look.shown is None else _packed(look.shown, np.uint8),
             }
         )
     return solids

@@ -76,6 +76,15 @@ def test_the_next_episode_replaces_the_last_one(viewer):
     np.testing.assert_allclose(viewer.positions(), moved[1])
 
 
+def test_a_marker_that_changes_its_colour_is_shown_in_the_colour_of_the_frame(viewer):
+    marker = {"kind": "sphere", "center": np.zeros(3), "radius": 0.1}
+    viewer.show(recordings.made(2, drawings=[[marker], [{**marker, "color": (0.0, 1.0, 0.0)}]]))
+    viewer._playing.value = False
+    for time_shown, expected in ((0.0, [True, False]), (1.0, [False, True])):
+        viewer.seek(time_shown)
+        assert [handle.visible for _, handle in viewer._solids] == expected
+
+
 def test_ellipsoids_cones_and_meshes_are_solids_with_the_poses_of_the_frame(viewer):
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # about z
 

@@ -105,6 +105,18 @@ def test_the_page_may_follow_what_moves_or_stand_still(tmp_path):
     assert run["still"]["distance"] == still.distance > run["followed"]["distance"] == followed.distance
 
 
+def test_a_marker_that_grows_and_turns_green_is_two_solids(tmp_path):
+    red, green = (
+        {"kind": "sphere", "center": np.zeros(3), "radius": radius, "color": color}
+        for radius, color in ((0.1, (1.0, 0.0, 0.0)), (0.5, (0.0, 1.0, 0.0)))
+    )
+    path = write_player([recordings.made(3, drawings=[[red], [red], [green]])], tmp_path / "a.html")
+    first, then = data_of(path)["runs"][0]["solids"]
+    assert decoded(first["shown"]).tolist() == [1, 1, 0] and decoded(then["shown"]).tolist() == [0, 0, 1]
+    assert first["color"] == [1.0, 0.0, 0.0] and then["color"] == [0.0, 1.0, 0.0]
+    assert np.abs(decoded(then["vertices"])).max() == pytest.approx(0.5, rel=0.01)
+
+
 def test_a_mesh_is_in_the_page_once_and_its_poses_once_a_frame(tmp_path):
     rng = np.random.default_rng(0)
     body = {"kind": "mesh", "vertices": rng.uniform(-1.0, 1.0, (3000, 3)), "triangles": np.arange(3000).reshape(-1, 3)}
