@@ -44,9 +44,10 @@ class Status(enum.IntFlag):
     ``self_contact.pairs_per_element``, or more particles to triangles than ``contact.pairs_per_particle`` of a mixed
     scene: some contacts may have been left out. Give a larger number. Not fatal."""
     CROSSED = 512
-    """Cloth or a rope passes through itself or another one, or a vertex is, or was, faster than the scene's
-    ``self_contact.max_speed`` or ``thin.largest_safe_speed``, above which it may. In a mixed scene also: a particle may
-    meet cloth faster than ``contact.max_speed`` or ``mixed.largest_safe_particle_speed``. Not fatal."""
+    """Cloth or a rope passes through itself or another one or lies at the same place, or a vertex is, or was, faster
+    than the scene's ``self_contact.max_speed`` or ``thin.largest_safe_speed``, above which it may. In a mixed scene
+    also: a particle may meet cloth faster than ``contact.max_speed`` or ``mixed.largest_safe_particle_speed``. Not
+    fatal."""
     UNSOLVED = 1024
     """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``. Not fatal."""
 

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 TOO_DEEP = 0.25
 """Distance of the middle lines of ropes over their thickness below which they count as crossed."""
+COINCIDENT = 1e-3
+"""Distance of two layers over their thickness below which they count as crossed: where it is zero, the force that should
+part them has no direction, so they stay where they are."""
 
 
 def self_status(scene: "ThinScene", state: "ThinState") -> Array:
@@ -39,7 +42,8 @@ def self_status(scene: "ThinScene", state: "ThinState") -> Array:
     if len(elements.triangles):
         corners = find(scene, x, True)
         crossed, missed = cloth_crossed(elements, x, law.pairs_per_element * len(elements.edges))
-        bad, full = bad | crossed, full | missed | (corners.count > corners.first.size)
+        bad = bad | crossed | layers_coincide(elements, law.thickness, x, corners)
+        full = full | missed | (corners.count > corners.first.size)
     return flag(full, Status.FULL_PAIRS) | flag(bad, Status.CROSSED)
 
 
@@ -72,6 +76,17 @@ def intersects(ends: tuple[Vec3, ...], corners: tuple[Vec3, ...]) -> Array:
     return sides & (positive | negative)
 
 
+def layers_coincide(elements: ContactElements, thickness: Scalar, x: Vec3, found: CloseElements) -> Array:
+    """Whether a vertex lies on a triangle of another layer, at less than ``COINCIDENT`` of the thickness."""
+    at, (vertices, triangles) = jnp.stack(x), elements.kinds(True)
+    corners = (
+        *broad_phase.gather_corners(at, vertices, found.first),
+        *broad_phase.gather_corners(at, triangles, found.second),
+    )
+    gap = cp.norm(closest.weighted(closest.vertex_triangle(corners), corners))
+    return jnp.any((jnp.arange(found.first.size) < found.count) & (gap < COINCIDENT * thickness))
+
+
 def ropes_crossed(elements: ContactElements, thickness: Scalar, x: Vec3, found: CloseElements) -> Array:
     """Whether the middle lines of two segments of ropes are closer than ``TOO_DEEP``."""
     if not np.any(elements.is_rope):
@@ -88,4 +103,4 @@ def ropes_crossed(elements: ContactElements, thickness: Scalar, x: Vec3, found: 
     return jnp.any(both & (gap < TOO_DEEP * thickness))
 
 
-__all__ = ["cloth_crossed", "intersects", "ropes_crossed", "self_status"]
+__all__ = ["cloth_crossed", "intersects", "layers_coincide", "ropes_crossed", "self_status"]

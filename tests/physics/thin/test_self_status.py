@@ -22,6 +22,21 @@ def test_status_names_crossed_layers_speed_and_full_lists(x64):
     assert thin.check_status(few, state) & Status.FULL_PAIRS
 
 
+def test_layers_at_the_same_place_count_as_crossed(x64):
+    """Nothing parts them: the force has no direction."""
+    sheet = thin.sheet(0.1, 0.1, 2, 2)
+    mesh = thin.ThinMesh(
+        vertices=np.concatenate([sheet.vertices, sheet.vertices + [0.0, 0.05, 0.0]]),
+        triangles=np.concatenate([sheet.triangles, sheet.triangles + len(sheet.vertices)]),
+    )
+    cloth = thin.isotropic_cloth(youngs_modulus=1e5, poissons_ratio=0.3, thickness=1e-3, density=300.0)
+    contact = thin.SelfContact(thickness=2e-3, stiffness=50.0, max_speed=0.1)
+    scene = thin.make_scene(mesh=mesh, dt=1e-4, cloth=cloth, gravity=(0.0, 0.0, 0.0), self_contact=contact)
+    for height, expected in ((0.0, Status.CROSSED), (1e-6, Status.CROSSED), (1e-4, 0), (0.05, 0)):
+        placed = np.concatenate([sheet.vertices, sheet.vertices + [0.0, height, 0.0]])
+        assert thin.check_status(scene, thin.initial_state(placed)) == expected
+
+
 def test_a_contact_that_became_softer_is_safe_at_lower_speeds_alone(x64):
     scene, state = folded()
     state = state.replace(v=jnp.zeros_like(state.v).at[0, 1].set(0.3))
