@@ -166,8 +166,8 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
       tree: an environment, a scene, a material, ...
       path: names of fields, keys of dictionaries and indices of tuples, as ``rewax.envs.randomize.leaves`` lists them:
         ``"scene.material.elasticity.youngs_modulus"``, ``"scene.colliders[0].friction"``.
-      value: the new number or array, of the old shape, or with one more axis in front (environments, particles);
-        None: the parameter is absent.
+      value: the new number or array, of the old shape, or with one more axis in front (environments, particles); one
+        number for all particles that had their own; None: the parameter is absent.
 
     Raises:
       ValueError: there is no such field (the message lists the existing fields), or the value has another shape or is
@@ -197,19 +197,27 @@ def _replaced(tree: Any, path: str, value: Any, whole: str) -> Any:
         changed = _replaced(tree[i], rest, value, whole) if rest else _fitting(tree[i], value, whole)
         return type(tree)((*tree[:i], changed, *tree[i + 1 :]))
     old = tree[key] if isinstance(tree, dict) else getattr(tree, key)
-    changed = _replaced(old, rest, value, whole) if rest else _fitting(old, value, whole)
+    if rest:
+        changed = _replaced(old, rest, value, whole)
+    else:
+        metadata = {} if isinstance(tree, dict) else {f.name: f.metadata for f in dataclasses.fields(tree)}[key]  # pyright: ignore[reportArgumentType]
+        *_, required = metadata.get("number", ((),))
+        changed = _fitting(old, value, whole, by_element=required is None and not metadata["vector"])
     return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})  # pyright: ignore[reportArgumentType]
 
 
-def _fitting(old: Any, value: Any, path: str) -> Any:
-    """The value. Raises ValueError if the old one is a number or an array and the new one cannot take its place."""
+def _fitting(old: Any, value: Any, path: str, *, by_element: bool = False) -> Any:
+    """The value. Raises ValueError if the old one is a number or an array and the new one cannot take its place.
+
+    With ``by_element`` a field holds one number, or one for each element.
+    """
     shape = None if isinstance(old, (tuple, list, dict)) else _shape_of_numbers(old)
     if shape is None or value is None:  # None: the parameter is absent
         return value
     new = _shape_of_numbers(value)
     if new is None:
         raise ValueError(f"{path} is {value!r}: give a number or an array of shape {shape}")
-    if new != shape and new[1:] != shape:
+    if new != shape and new[1:] != shape and not (by_element and new == shape[1:]):
         raise ValueError(f"{path} has shape {shape}, but the new value {new}: give numbers of shape {shape}")
     return value
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rewax import struct
+from rewax.physics.mpm import Hencky
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.types import Scalar
 
@@ -149,3 +150,5 @@ def test_replace_leaf_keeps_shapes():
     assert struct.replace_leaf(scene, "gravity", (0, -1, 0)).gravity[1] == -1.0
     assert struct.replace_leaf(scene, "gravity", jnp.ones((4, 3))).gravity.shape == (4, 3)  # four environments
     assert jax.grad(lambda r: struct.replace_leaf(scene, "balls[0].radius", r).balls[0].radius)(2.0) == 1.0
+    each = struct.replace_leaf(Hencky(youngs_modulus=1.0, poissons_ratio=0.3), "youngs_modulus", jnp.ones(5))
+    assert struct.replace_leaf(each, "youngs_modulus", 2.0).youngs_modulus == 2.0  # one number for all particles again

@@ -162,7 +162,7 @@ class LiveViewer:
         with self._server.atomic():
             self._root.position = tuple(framing.targets[0] - framing.targets[frame])
             for look, handle in self._solids:
-                place, turn = pose(recording.shapes(frame)[look.index])
+                place, turn = pose(recording.shapes(frame)[look.number])
                 handle.visible = look.shown is None or bool(look.shown[frame])
                 handle.position, handle.wxyz = tuple(place), (turn[3], *turn[:3])
             if self._matter is not None:

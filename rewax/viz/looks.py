@@ -14,7 +14,7 @@ _CONSTANT = frozenset(["center", "direction", "rotation", "vertices", "triangles
 class Look(NamedTuple):
     """A drawing while its size, colour and opacity stay the same."""
 
-    index: int
+    number: int
     """Which of a frame's drawings it is."""
     drawing: Drawing
     """The drawing in the first of its frames."""

@@ -148,7 +148,7 @@ def _solids(recording: Recording) -> list[dict[str, Any]]:
     solids = []
     for look in looks(recording):
         surface, (color, opacity) = mesh(look.drawing), shape_color(look.drawing)
-        poses = [np.concatenate(pose(recording.shapes(frame)[look.index])) for frame in range(recording.num_frames)]
+        poses = [np.concatenate(pose(recording.shapes(frame)[look.number])) for frame in range(recording.num_frames)]
         solids.append(
             {
                 "vertices": _packed(surface.vertices, np.float32),

@@ -25,4 +25,4 @@ def test_each_size_and_colour_has_its_frames():
         [True, False, False, True], [False, True, False, False], [False, False, True, False]
     ]  # fmt: skip
     assert [look.drawing["radius"] for look in found] == [0.1, 0.1, 0.3]
-    assert {look.index for look in found} == {0}
+    assert {look.number for look in found} == {0}

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 TOO_DEEP = 0.25
 """Distance of the middle lines of ropes over their thickness below which they count as crossed."""
 COINCIDENT = 1e-3
-"""Distance of two layers over their thickness below which they count as crossed: where it is zero, the force that should
-part them has no direction, so they stay where they are."""
+"""Distance of two layers over their thickness below which they count as crossed. Where it is zero, the force that
+should part them has no direction, so they stay where they are."""
 
 
 def self_status(scene: "ThinScene", state: "ThinState") -> Array:
