@@ -15,7 +15,7 @@ def ball(frame, **options):
 def test_a_drawing_that_only_moves_has_one_look():
     recording = recordings.made(5, drawings=[[GROUND, ball(i, radius=0.1 + 1e-8 * i)] for i in range(5)])
     (only,) = looks(recording)
-    assert only.index == 1 and only.shown is None
+    assert only.number == 1 and only.shown is None
 
 
 def test_each_size_and_colour_has_its_frames():
