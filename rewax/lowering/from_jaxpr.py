@@ -30,8 +30,6 @@ _KEEPS_CONSTANTS = frozenset([
 _LOOP_PARAMETERS = frozenset({
     "jaxpr", "length", "reverse", "unroll", "linear", "num_consts", "num_carry", "ft_in", "ft_out", "_split_transpose",
 })  # fmt: skip
-
-
 _WHILE_PARAMETERS = frozenset({"cond_jaxpr", "cond_nconsts", "body_jaxpr", "body_nconsts"})
 
 

@@ -55,15 +55,9 @@ def in_registers(
       arguments: indices of the arguments that it reads.
     """
     operations, needed = listing.operations, needed_for(listing, outputs)
-    loops = [loop for loop in listing.loops if not {*loop.carried}.isdisjoint(needed)]
-    carried = {
-        i: _Carried(loop.initial[k], loop.following[k])
-        for loop in loops
-        for k, i in enumerate(loop.carried)
-        if i in needed
-    }
-    kept = {i for output in outputs for i in output} | {i for value in carried.values() for i in value}
-    kept |= {loop.condition for loop in loops}
+    loops = [loop for loop in (_read_values(loop, {*needed}) for loop in listing.loops) if loop.carried]
+    kept = {i for output in outputs for i in output}
+    kept |= {i for loop in loops for i in (loop.condition, *loop.initial, *loop.following)}
     steps = Cover(operations, needed, kept, lanes=True).steps()
     read = {o for step in steps for o in step.operands} | kept
     given = [i for i in needed if operations[i].name in ("constant", "input") and i in read]
@@ -75,9 +69,10 @@ def in_registers(
             argument, offset = operations[i].constant
             steps.append(Step(f"load_{type_name(types[argument])}", i, (), (arguments.index(argument), offset)))
     # After a loop its values lie in the registers in which they were during the loop.
-    same = {i: listing.loops[n].carried[k] for i, (n, k) in _results(operations, needed)}
+    results = [(i, operations[i].constant) for i in needed if operations[i].name == "result"]
+    same = {i: listing.loops[number].carried[k] for i, (number, k) in results}
     placed = [((operations[s.operation].place, s.operation), s) for s in steps]
-    placed += [at for loop in loops for at in _loop_steps(operations, loop, carried)]
+    placed += [at for loop in loops for at in _loop_steps(operations, loop)]
     placed.sort(key=lambda at: at[0])
     steps = [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for _, step in placed]
     registers = Registers(steps, {same.get(i, i) for output in outputs for i in output})
@@ -113,32 +108,26 @@ def _lane(operation: Operation, dtype: np.dtype) -> Any:
 # --- Loops ------------------------------------------------------------------------------------------------------------
 
 
-class _Carried(NamedTuple):
-    """A value of a loop."""
-
-    initial: int
-    following: int
-
-
-def _results(operations: Sequence[Operation], needed: Sequence[int]) -> list[tuple[int, tuple[int, int]]]:
-    """The values after loops; for each, the loop and which of its values it is."""
-    return [(i, operations[i].constant) for i in needed if operations[i].name == "result"]
+def _read_values(loop: Loop, needed: set[int]) -> Loop:
+    """The loop without the values that nobody reads."""
+    read = [k for k, i in enumerate(loop.carried) if i in needed]
+    initial, carried, following = (
+        tuple(values[k] for k in read) for values in (loop.initial, loop.carried, loop.following)
+    )
+    return loop._replace(initial=initial, carried=carried, following=following)
 
 
-def _loop_steps(
-    operations: Sequence[Operation], loop: Loop, carried: dict[int, _Carried]
-) -> list[tuple[tuple[tuple[float, ...], float], Step]]:
+def _loop_steps(operations: Sequence[Operation], loop: Loop) -> list[tuple[tuple[tuple[float, ...], float], Step]]:
     """The steps of a loop that belong to no operation, and where they are in the order of places."""
-    own = {i: carried[i] for i in loop.carried if i in carried}
-    copies = {i: ("copy", "f" if operations[i].kind == "f" else "w") for i in own}
-    moved = {i: value.following for i, value in own.items() if value.following != i}
+    copies = {i: ("copy", "f" if operations[i].kind == "f" else "w") for i in loop.carried}
+    moved = {i: new for i, new in zip(loop.carried, loop.following, strict=True) if new != i}
     before, after = loop.place, (*loop.place, math.inf)
     exit_at = (operations[loop.condition].place, loop.condition + 0.5)
     return [
-        *(((before, -2), Step(copies[i], i, (value.initial,))) for i, value in own.items()),
+        *(((before, -2), Step(copies[i], i, (old,))) for i, old in zip(loop.carried, loop.initial, strict=True)),
         ((before, -1), Step("loop_begin", NOTHING, ())),
         (exit_at, Step("loop_exit", NOTHING, (loop.condition,))),
-        *(((after, 0), Step(copies[i], i, (following,))) for i, following in moved.items()),
+        *(((after, 0), Step(copies[i], i, (new,))) for i, new in moved.items()),
         ((after, 1), Step("loop_back", NOTHING, ())),
     ]
 
