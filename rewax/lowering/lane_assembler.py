@@ -74,9 +74,12 @@ def in_registers(
     placed = [((operations[s.operation].place, s.operation), s) for s in steps]
     placed += [at for loop in loops for at in _loop_steps(operations, loop)]
     placed.sort(key=lambda at: at[0])
-    steps = [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for _, step in placed]
+    steps = [step for _, step in placed]
+    if loops:
+        steps = [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for step in steps]
     registers = Registers(steps, {same.get(i, i) for output in outputs for i in output})
-    _keep_through_loops(steps, registers)
+    if loops:
+        _keep_through_loops(steps, registers)
     dying: dict[int, list[int]] = defaultdict(list)
     for i, k in registers.last.items():
         dying[k].append(i)

@@ -74,12 +74,10 @@ class Cover:
         """``chosen``: operations to compute, in order; ``kept``: operations whose values are results."""
         self.operations, self.lanes = operations, lanes
         users = Counter(o for i in chosen for o in operations[i].operands)
-        at = {o: operations[i].place for i in chosen for o in operations[i].operands}
-        self.inner = {
-            i
-            for i in chosen
-            if users[i] == 1 and i not in kept and operations[i].operands and operations[i].place == at[i]
-        }
+        self.inner = {i for i in chosen if users[i] == 1 and i not in kept and operations[i].operands}
+        if any(operations[i].place for i in chosen):  # what is computed before a loop is no part of it
+            at = {o: operations[i].place for i in chosen for o in operations[i].operands}
+            self.inner = {i for i in self.inner if operations[i].place == at[i]}
         self.kinds: dict[int, str] = {}
         for i in {*chosen, *users}:
             kind, shared = "f" if operations[i].kind == "f" else "w", operations[i].shared
