@@ -71,12 +71,7 @@ def in_registers(
     # After a loop its values lie in the registers in which they were during the loop.
     results = [(i, operations[i].constant) for i in needed if operations[i].name == "result"]
     same = {i: listing.loops[number].carried[k] for i, (number, k) in results}
-    placed = [((operations[s.operation].place, s.operation), s) for s in steps]
-    placed += [at for loop in loops for at in _loop_steps(operations, loop)]
-    placed.sort(key=lambda at: at[0])
-    steps = [step for _, step in placed]
-    if loops:
-        steps = [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for step in steps]
+    steps = _with_loops(operations, steps, loops, same) if loops else sorted(steps, key=lambda step: step.operation)
     registers = Registers(steps, {same.get(i, i) for output in outputs for i in output})
     if loops:
         _keep_through_loops(steps, registers)
@@ -118,6 +113,16 @@ def _read_values(loop: Loop, needed: set[int]) -> Loop:
         tuple(values[k] for k in read) for values in (loop.initial, loop.carried, loop.following)
     )
     return loop._replace(initial=initial, carried=carried, following=following)
+
+
+def _with_loops(
+    operations: Sequence[Operation], steps: Sequence[Step], loops: Sequence[Loop], same: dict[int, int]
+) -> list[Step]:
+    """All steps in the order of places. ``same`` names the values of loops that lie in the registers of others."""
+    placed = [((operations[step.operation].place, step.operation), step) for step in steps]
+    placed += [at for loop in loops for at in _loop_steps(operations, loop)]
+    placed.sort(key=lambda at: at[0])
+    return [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for _, step in placed]
 
 
 def _loop_steps(operations: Sequence[Operation], loop: Loop) -> list[tuple[tuple[tuple[float, ...], float], Step]]:
