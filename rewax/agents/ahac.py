@@ -6,8 +6,9 @@ Simulation" (ICML 2024). Differences:
 - They bound the stiffness of the dynamics, measured by contact forces and accelerations. Here the backward pass of any
   environment gives it: the logarithm of the factor by which the gradient of the state grows over a step.
 - All environments share one horizon. It moves by the mean excess of that growth, an earlier rule of the authors. Theirs
-  has a multiplier for each step.
-- The rollout always computes ``horizon`` steps. Beyond the adaptive horizon the environments stand still.
+  has a multiplier for each step. The growth of a sum of equal rewards, whose gradient adds up, is no excess.
+- Rollouts have room for ``horizon`` steps. Beyond the adaptive horizon the environments stand still.
+- A run has a given number of control steps, theirs of iterations. So the learning rates fall with the steps.
 - Critics are fitted with a fixed number of passes, theirs until the loss stays about the same, with 64 passes at most.
 - A minibatch of the critics has all steps of some environments, theirs some steps of all environments. Here the
   minibatches beyond the horizon would be empty.
@@ -27,6 +28,7 @@ from rewax.agents.config import Activation, Combination, Division, FirstOrderCon
 from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.legal import Count, Positive
+from rewax.agents.optimizers import schedule_at
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
@@ -43,7 +45,8 @@ class AHACConfig(FirstOrderConfig):
     Attributes:
       horizon: the longest horizon.
       min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration.
-      max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks [-].
+      max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks, unless
+        a sum of equal rewards grows as fast over it [-].
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
       critic_minibatches: a divisor of num_envs.
     """
@@ -113,6 +116,7 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
+    state = on_schedule(config, state)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
     losses, rollouts, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
@@ -122,6 +126,15 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
 
     state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     return state, {**episode_metrics, **horizon_metrics, **actor_metrics, **critic_metrics}
+
+
+def on_schedule(config: AHACConfig, state: AHACState) -> AHACState:
+    """The state with learning rates that belong to its control steps, whatever the number of its iterations."""
+    iteration = state.env_steps // (config.num_envs * config.initial_horizon)
+    passed = iteration * config.critic_passes * config.critic_minibatches
+    return state.replace(
+        actor_opt=schedule_at(state.actor_opt, iteration), critic_opt=schedule_at(state.critic_opt, passed)
+    )
 
 
 def actor_loss(
@@ -159,7 +172,10 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
     Returns:
       The new state, and the metrics ``horizon`` (of the last rollout) and ``growth``.
     """
-    horizon = state.horizon - config.horizon_rate * (growth - jnp.log(config.max_growth))
+    steps = jnp.maximum(jnp.round(state.horizon), 2.0)
+    of_a_sum = jnp.log(steps) / (steps - 1.0)  # the gradient of n equal rewards is n times that of the last one
+    allowed = jnp.maximum(jnp.log(config.max_growth), of_a_sum)
+    horizon = state.horizon - config.horizon_rate * (growth - allowed)
     new = state.replace(horizon=jnp.clip(horizon, config.min_horizon, config.horizon))
     return new, {"horizon": jnp.round(state.horizon), "growth": jnp.exp(growth)}
 

@@ -41,6 +41,18 @@ def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_it
     return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 
 
+def schedule_at(opt_state: PyTree, count: Array) -> PyTree:
+    """The optimizer's state with the learning rate that it has after ``count`` updates. All else stays."""
+
+    def is_schedule(part: object) -> bool:
+        return isinstance(part, optax.ScaleByScheduleState)
+
+    def moved(part: PyTree) -> PyTree:
+        return part._replace(count=count.astype(part.count.dtype)) if is_schedule(part) else part
+
+    return jax.tree.map(moved, opt_state, is_leaf=is_schedule)
+
+
 @struct.dataclass
 class Packed:
     """Parameters, or another tree of the same structure and shapes, as one vector, shape (number of parameters,)."""

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from rewax.envs.base import Env, State
-from rewax.envs.wrappers import select
 from rewax.status import FATAL
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -104,22 +103,26 @@ def rollout(
 
     active = jnp.ones(horizon, bool) if num_active is None else jnp.arange(horizon) < num_active
 
+    def act(state: State, key: Key, own: PyTree) -> tuple[State, Any, dict[str, Array]]:
+        action, aux = policy(state.obs, key) if inputs is None else policy(state.obs, key, own)
+        return env.step(state, action), action, aux
+
+    def stand_still(state: State, key: Key, own: PyTree) -> tuple[State, Any, dict[str, Array]]:
+        new, *rest = jax.eval_shape(act, state, key, own)
+        fields = {name: getattr(new, name) for name in ("reward", "terminated", "truncated", "status")}
+        fields, (action, aux) = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), (fields, rest))
+        return state.replace(**fields), action, aux
+
     def step(state: State, given: tuple[Key, Array | None, Array | None, PyTree, Array]) -> tuple[State, Transition]:
         key, factor, probe, own, active = given
         if probe is not None:
             state = probed(state, probe)
         if factor is not None:
             state = scale_gradient(state, factor)
-        action, aux = policy(state.obs, key) if inputs is None else policy(state.obs, key, own)
-        new = env.step(state, action)
-        if num_active is not None:
-            still = state.replace(
-                reward=jnp.zeros_like(state.reward),
-                terminated=jnp.zeros_like(state.terminated),
-                truncated=jnp.zeros_like(state.truncated),
-                status=jnp.zeros_like(state.status),
-            )
-            new = select(active, new, still)
+        if num_active is None:
+            new, action, aux = act(state, key, own)
+        else:  # all environments have the same number, so that a step beyond it costs nothing
+            new, action, aux = jax.lax.cond(active, act, stand_still, state, key, own)
         assert new.final_obs is not None, "rollout needs an environment behind AutoReset"
         transition = Transition(
             obs=state.obs,

@@ -5,11 +5,11 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from agent_cases import CASES, ENV, agent
 
-from rewax.agents.ahac import AHACConfig, gradient_growth
-from rewax.agents.registry import make_agent
+from rewax.agents.ahac import AHACConfig, gradient_growth, horizon_update, on_schedule
 from rewax.agents.rollout import Transition
 
 
@@ -34,17 +34,52 @@ def test_growth_is_the_mean_logarithm_of_the_ratio_of_norms():
     assert gradient_growth(norms.at[0, 1].set(jnp.nan), transitions(no, yes)) == pytest.approx(np.log(2.0))
 
 
-@pytest.mark.parametrize(("bound", "way"), [pytest.param(100.0, 1, marks=pytest.mark.slow), (0.01, -1)])
-def test_the_horizon_shrinks_where_the_gradient_grows_faster_than_allowed(bound, way):
-    config = dataclasses.replace(CASES["ahac"].config, max_growth=bound)
-    slow = make_agent("ahac", ENV, config)
-    state = slow.init(jax.random.key(0))
+def test_the_horizon_moves_against_the_excess_of_the_growth():
+    config = CASES["ahac"].config
+    state = agent("ahac").init(jax.random.key(0))
     for _ in range(4):
         before = float(state.horizon)
-        state, metrics = slow.train_step(state)
-        assert np.sign(float(state.horizon) - before) == way or float(state.horizon) in (2.0, 8.0)
-        assert metrics["horizon"] == round(before)
-    assert float(state.horizon) == (8.0 if way > 0 else 2.0)
+        state, metrics = agent("ahac").train_step(state)
+        steps = round(before)
+        assert metrics["horizon"] == steps
+        allowed = max(np.log(config.max_growth), np.log(steps) / (steps - 1))
+        after = np.clip(before - (np.log(metrics["growth"]) - allowed), config.min_horizon, config.horizon)
+        assert float(state.horizon) == pytest.approx(after, rel=1e-5)
+
+
+@pytest.mark.parametrize(("bound", "growth", "after"), [(1.1, 1.5, 39.69), (1.6, 1.5, 40.06), (1.1, 1e16, 8.0)])
+def test_the_horizon_shrinks_where_the_gradient_grows_faster_than_allowed(bound, growth, after):
+    state = agent("ahac").init(jax.random.key(0)).replace(horizon=jnp.full((), 40.0))
+    config = AHACConfig(max_growth=bound)
+    new, metrics = horizon_update(config, state, jnp.log(growth))
+    assert float(new.horizon) == pytest.approx(after, abs=0.01) and float(metrics["growth"]) == pytest.approx(growth)
+
+
+@pytest.mark.parametrize("horizon", [4, 16])
+def test_a_sum_of_equal_rewards_leaves_the_horizon(horizon):
+    """Its gradient adds up from the end, by more than ``max_growth`` per step where the horizon is short."""
+    config = dataclasses.replace(CASES["ahac"].config, horizon=64, min_horizon=2)
+    state = agent("ahac").init(jax.random.key(0)).replace(horizon=jnp.full((), float(horizon)))
+    norms = jnp.arange(horizon, 0.0, -1.0)[None]
+    growth = gradient_growth(norms, transitions(np.zeros((1, horizon), bool), np.ones((1, horizon), bool)))
+    assert jnp.exp(growth) > config.max_growth
+    assert horizon_update(config, state, growth)[0].horizon == pytest.approx(horizon, abs=1e-5)
+    assert horizon_update(config, state, growth + 0.1)[0].horizon == pytest.approx(horizon - 0.1, abs=1e-5)
+
+
+def test_the_learning_rates_fall_with_the_steps_of_the_run():
+    config = CASES["ahac"].config
+    state = agent("ahac").init(jax.random.key(0)).replace(iteration=jnp.asarray(9, jnp.int32))
+    counts = []
+    for steps in (0, 5 * config.num_envs * config.initial_horizon):
+        state = on_schedule(config, state.replace(env_steps=jnp.asarray(steps, jnp.int32)))
+        states = (state.actor_opt, state.critic_opt)
+        schedules = jax.tree.leaves(states, is_leaf=lambda part: isinstance(part, optax.ScaleByScheduleState))
+        counts.append([int(part.count) for part in schedules if isinstance(part, optax.ScaleByScheduleState)])
+    assert counts == [[0, 0], [5, 5 * config.critic_passes * config.critic_minibatches]]
+    new, _ = agent("ahac").train_step(state)
+    after = jax.tree.leaves(new.actor_opt, is_leaf=lambda part: isinstance(part, optax.ScaleByScheduleState))
+    assert [int(part.count) for part in after if isinstance(part, optax.ScaleByScheduleState)] == [6]
 
 
 def test_only_the_steps_within_the_horizon_are_counted():

@@ -6,7 +6,7 @@ import numpy as np
 import optax
 import pytest
 
-from rewax.agents.optimizers import Packing, apply, clipped_adamw, finite_or_zero, linear_fall
+from rewax.agents.optimizers import Packing, apply, clipped_adamw, finite_or_zero, linear_fall, schedule_at
 
 ADAM = {"b1": 0.7, "b2": 0.95, "weight_decay": 0.01, "max_grad_norm": 0.5}
 
@@ -30,6 +30,17 @@ def test_learning_rates_fall_linearly_and_then_stay():
     expected = np.repeat(5e-3 + (1e-3 - 5e-3) * done, 4)
     np.testing.assert_allclose(step_sizes(often, 14 * 4), expected, rtol=1e-4)
     np.testing.assert_allclose(step_sizes(clipped_adamw(5e-3, **ADAM), 14), 5e-3, rtol=1e-4)
+
+
+def test_a_learning_rate_can_be_set_to_that_of_another_update():
+    falling = clipped_adamw(linear_fall(1e-2, 1e-3, 10, updates_per_iteration=2), **ADAM)
+    params = {"a": jnp.zeros(2), "b": jnp.zeros(1)}
+    state = falling.init(params)
+    moved = schedule_at(state, jnp.asarray(10))
+    update, _ = falling.update(jax.tree.map(jnp.ones_like, params), moved, params)
+    np.testing.assert_allclose(update["a"], -(1e-2 + 1e-3) / 2, rtol=1e-4)  # half of the iterations
+    assert int(moved[1].count) == 0  # Adam's own count, which corrects its moments
+    jax.tree.map(np.testing.assert_array_equal, schedule_at(moved, jnp.asarray(0)), state)
 
 
 def test_the_norm_over_everything_is_clipped():
