@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from agent_cases import CASES, ENV, agent
+from agent_cases import CASES, agent
 
 from rewax.agents.ahac import AHACConfig, gradient_growth, horizon_update, on_schedule
 from rewax.agents.rollout import Transition
