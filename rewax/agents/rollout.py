@@ -87,7 +87,8 @@ def rollout(
       truncate_every: cut the gradient of the state, including its observation, every so many steps; None: never.
       state_gradient_decay: factor on that gradient, one for all steps or one per step, shape (horizon,); 1: exact.
       inputs: additional input of the policy at each step, leading axis (horizon,).
-      num_active: the environment stands still after this many steps, at most ``horizon``; None: it never does.
+      num_active: the environment stands still after this many steps, at most ``horizon``; None: it never does. Under
+        ``vmap`` with one number for all environments, further steps are not computed.
       probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
         state t.
 
@@ -121,7 +122,7 @@ def rollout(
             state = scale_gradient(state, factor)
         if num_active is None:
             new, action, aux = act(state, key, own)
-        else:  # all environments have the same number, so that a step beyond it costs nothing
+        else:
             new, action, aux = jax.lax.cond(active, act, stand_still, state, key, own)
         assert new.final_obs is not None, "rollout needs an environment behind AutoReset"
         transition = Transition(

@@ -67,19 +67,20 @@ def test_a_sum_of_equal_rewards_leaves_the_horizon(horizon):
     assert horizon_update(config, state, growth + 0.1)[0].horizon == pytest.approx(horizon - 0.1, abs=1e-5)
 
 
+def counts(*optimizer_states):
+    """Numbers of updates from which the learning rates follow."""
+    leaves = jax.tree.leaves(optimizer_states, is_leaf=lambda part: isinstance(part, optax.ScaleByScheduleState))
+    return [int(part.count) for part in leaves if isinstance(part, optax.ScaleByScheduleState)]
+
+
 def test_the_learning_rates_fall_with_the_steps_of_the_run():
     config = CASES["ahac"].config
-    state = agent("ahac").init(jax.random.key(0)).replace(iteration=jnp.asarray(9, jnp.int32))
-    counts = []
-    for steps in (0, 5 * config.num_envs * config.initial_horizon):
-        state = on_schedule(config, state.replace(env_steps=jnp.asarray(steps, jnp.int32)))
-        states = (state.actor_opt, state.critic_opt)
-        schedules = jax.tree.leaves(states, is_leaf=lambda part: isinstance(part, optax.ScaleByScheduleState))
-        counts.append([int(part.count) for part in schedules if isinstance(part, optax.ScaleByScheduleState)])
-    assert counts == [[0, 0], [5, 5 * config.critic_passes * config.critic_minibatches]]
-    new, _ = agent("ahac").train_step(state)
-    after = jax.tree.leaves(new.actor_opt, is_leaf=lambda part: isinstance(part, optax.ScaleByScheduleState))
-    assert [int(part.count) for part in after if isinstance(part, optax.ScaleByScheduleState)] == [6]
+    state = agent("ahac").init(jax.random.key(0))
+    start = on_schedule(config, state.replace(iteration=jnp.asarray(9, jnp.int32)))
+    assert counts(start.actor_opt, start.critic_opt) == [0, 0]
+    later = state.replace(env_steps=jnp.asarray(5 * config.num_envs * config.initial_horizon, jnp.int32))
+    new, _ = agent("ahac").train_step(later)
+    assert counts(new.actor_opt, new.critic_opt) == [6, 6 * config.critic_passes * config.critic_minibatches]
 
 
 def test_only_the_steps_within_the_horizon_are_counted():

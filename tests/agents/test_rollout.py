@@ -1,6 +1,7 @@
 """A policy acting on a line: recorded transitions, and the flow of gradients."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
@@ -140,3 +141,25 @@ def test_beyond_its_active_steps_an_environment_stands_still(state):
     np.testing.assert_array_equal(t.reward, np.where(t.active, every.reward, 0.0))
     assert not t.done[2:].any() and int(end.step_count) == 2 and int(whole.step_count) == HORIZON - LENGTH
     np.testing.assert_array_equal(end.obs["x"], every.obs["x"][2])
+
+
+def test_environments_with_one_number_of_active_steps_skip_the_others(state):
+    """With one number for each, ``vmap`` computes all steps and chooses."""
+
+    def steps_computed(axis, num_active):
+        calls = []
+
+        def policy(obs, key):
+            jax.debug.callback(lambda: calls.append(1))
+            return proportional(0.4)(obs, key)
+
+        def play(state, num_active):
+            return rollout(ENV, state, policy, jax.random.key(1), horizon=3, num_active=num_active)[0]
+
+        states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
+        jax.block_until_ready(jax.jit(jax.vmap(play, in_axes=(0, axis)))(states, num_active))
+        jax.effects_barrier()
+        return len(calls)
+
+    all_steps = steps_computed(0, jnp.asarray([2, 2]))
+    assert 3 * steps_computed(None, jnp.asarray(2)) == 2 * all_steps > 0
