@@ -37,7 +37,7 @@ def test_either_flag_alone_is_right(flags, monkeypatch):
 
 
 def test_options_of_ours_are_never_that_pair():
-    for options in (xla_options.QUICK, xla_options.unoptimised()):
+    for options in (xla_options.QUICK, xla_options.QUICK_IN_XLA, xla_options.unoptimised()):
         flags = " ".join(f"--{name}={value}" for name, value in options.items())
         assert wrong_gradients(flags) is None
         if xla_options.knows(**options):

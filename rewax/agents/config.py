@@ -54,9 +54,10 @@ class RunConfig:
       horizon: control steps per iteration and environment. 0, if the algorithm allows it: whole episodes, each
         iteration from new initial states.
       num_iterations: number of iterations over which learning rates fall.
-      quick_compile: on a CPU, compile with XLA's older code generator, for short runs. On soft bodies a first-order
-        algorithm's train step then compiles in seven to nine tenths of the time, and iterations take 1 to 6 % longer.
-        XLA of jax 0.12 has only one generator, and this option then changes nothing.
+      quick_compile: on a CPU, compile with XLA's older code generator and little optimisation, for short runs. On soft
+        bodies whose physics runs in C++, a first-order algorithm's train step then compiles in seven to eight tenths of
+        the time, and iterations take up to 9 % longer. XLA of jax 0.12 has only one generator, and this option then
+        changes nothing.
     """
 
     least_horizon: ClassVar[int] = 1

@@ -34,6 +34,14 @@ def test_quick_programs_compute_the_same():
         state = other
 
 
+def test_loops_that_xla_compiles_itself_are_optimised(monkeypatch):
+    in_cpp = compiler_options(QUICK)
+    monkeypatch.setenv("REWAX_NATIVE", "0")
+    in_xla = compiler_options(QUICK)
+    if in_xla:  # this XLA has the older generator
+        assert in_xla == in_cpp | {"xla_backend_optimization_level": 3} != in_cpp
+
+
 def test_an_unknown_option_is_not_ignored():
     """Else ``quick_compile`` might do nothing with a jaxlib to come."""
     with pytest.raises(Exception, match="xla_cpu_no_such_option"):
