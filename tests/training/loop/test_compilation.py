@@ -12,7 +12,7 @@ from rich.console import Console
 from rewax import xla_options
 from rewax.agents.config import RunConfig
 from rewax.jax_versions import numbers
-from rewax.lowering import report
+from rewax.lowering import build, report
 from rewax.training.loop.compilation import compile_train_step, compiler_options, no_garbage_collection, programs_kept
 from rewax.training.loop.devices import Placement
 
@@ -34,12 +34,11 @@ def test_quick_programs_compute_the_same():
         state = other
 
 
-def test_loops_that_xla_compiles_itself_are_optimised(monkeypatch):
-    in_cpp = compiler_options(QUICK)
-    monkeypatch.setenv("REWAX_NATIVE", "0")
-    in_xla = compiler_options(QUICK)
-    if in_xla:  # this XLA has the older generator
-        assert in_xla == in_cpp | {"xla_backend_optimization_level": 3} != in_cpp
+@pytest.mark.parametrize(("in_cpp", "level"), [(True, 1), (False, 3)])
+def test_loops_that_xla_compiles_itself_are_optimised(in_cpp, level, monkeypatch):
+    monkeypatch.setattr(build, "is_available", lambda: in_cpp)
+    if xla_options.has_older_generator():
+        assert compiler_options(QUICK)["xla_backend_optimization_level"] == level
 
 
 def test_an_unknown_option_is_not_ignored():
