@@ -2,7 +2,14 @@
 
 import pytest
 
-from rewax.agents.presets import ahac_preset, apg_preset, sapo_preset, shac_preset
+from rewax.agents.presets import (
+    ahac_preset,
+    apg_preset,
+    demonstrated_preset,
+    sapo_preset,
+    shac_preset,
+    trajopt_preset,
+)
 from rewax.agents.sapo import SAPOConfig
 from rewax.agents.shac import SHACConfig
 from rewax.envs import list_envs
@@ -60,3 +67,10 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
         for name in (*ACTOR, "target_decay"):
             assert getattr(config, name) == getattr(papers, name), name
     assert shac_preset("AntRun", "paper").target_decay == 0.2
+
+
+def test_sequences_on_fluid_move_change_slowly():
+    """With the rate of the other soft tasks they earn less than no action (docs/measured/small_suite.md)."""
+    rates = {name: trajopt_preset(name, "small").learning_rate for name in ("FluidMove", "HandFlip")}
+    assert rates == {"FluidMove": 0.01, "HandFlip": 0.1}
+    assert demonstrated_preset("FluidMove", "small").sequence_learning_rate == 0.02
