@@ -85,7 +85,7 @@ _SLOW_CASES = Path(__file__).with_name("slow_cases.txt")
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Marks the tests of the list as slow. A line of the list that names no test of a collected file is an error."""
-    listed = set(_SLOW_CASES.read_text().split())
+    listed = set(_SLOW_CASES.read_text().splitlines())
     for item in items:
         if item.nodeid in listed:
             item.add_marker(pytest.mark.slow)
