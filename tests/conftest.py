@@ -21,7 +21,7 @@ from rewax.xla_options import unoptimised
 _QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
 """XLA's older code generator for a CPU: half as long to compile, programs up to 1.4 times as slow.
 
-With ``--xla_backend_optimization_level=1`` tests take 1.07 times the processor time (167 tests with empty caches).
+With ``--xla_backend_optimization_level=1`` tests take 1.08 times the processor time (167 tests with empty caches).
 Add no ``--xla_backend_optimization_level=0``: in jax 0.10.1 this generator then gives gradients that are zero in silence
 (the derivative of a union of a sphere and a box by the sphere's radius). Either flag alone is right.
 """
