@@ -14,8 +14,8 @@ from rewax.types import Array, Key, PyTree, Scalar
 class Following(ThinTask):
     """A task whose joints follow set points as critically damped oscillators. Subclasses say where those are.
 
-    ``joint_qd`` holds the velocities of the joints [m/s, rad/s]. ``exact_limits`` has no meaning here, because joints
-    have no limits of their own: set points have.
+    ``joint_qd`` holds the velocities of the joints [m/s, rad/s]. ``exact_limits`` must be true: joints have no limits
+    of their own that could be frozen.
 
     Attributes:
       rate: angular frequency of the joints [rad/s].
@@ -25,8 +25,8 @@ class Following(ThinTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.exact_limits:
-            raise ValueError("exact_limits is True, but joints that follow set points have no limits: leave it out")
+        if not self.exact_limits:
+            raise ValueError("exact_limits is False, but joints that follow set points have no limits: leave it out")
 
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
         """Where the joints go to in a control step, shape (num_joints,)."""

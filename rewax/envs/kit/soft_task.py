@@ -65,7 +65,8 @@ class SoftTask(SoftBodyTask):
       num_substeps: substeps per control step (static).
       max_steps: control steps per episode (static).
       exact_limits: whether a joint that a limit stops has derivative 0 with respect to its previous position, which is
-        exact. If False, limits are frozen, as in the reference: that derivative is 1 (static).
+        exact. If False, limits are frozen, as in the reference: that derivative is 1, and gradients of earlier actions
+        are wrong (static).
       list_every: for particles, the substeps for which one list of active nodes serves, a divisor of num_substeps;
         None: a whole control step (static).
       store_every: substeps between stored states in the backward pass, see ``mpm.step`` (static).
@@ -82,7 +83,7 @@ class SoftTask(SoftBodyTask):
     cloud: PointCloud
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()
-    exact_limits: bool = struct.static_field(default=False)
+    exact_limits: bool = struct.static_field(default=True)
     list_every: int | None = struct.static_field(default=None)
     store_every: int = struct.static_field(default=1)
     touch: dict[str, Patches] | None = None

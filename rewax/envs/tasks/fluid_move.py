@@ -208,6 +208,7 @@ def paper(
         random_box(r["center"], r["water_size"], r["num_particles"]),
         r["thickness"],
         cloud=PointCloud(num_points=r["num_observed"], stride=r["stride"]),
+        exact_limits=False,
     )
 
 

@@ -134,7 +134,7 @@ def paper(
         max_active_nodes=10752,
         reach=0.5,
     )
-    return _hand_flip(scene, hand, steps, r["num_particles"], num_observed=r["num_observed"])
+    return _hand_flip(scene, hand, steps, r["num_particles"], num_observed=r["num_observed"], exact_limits=False)
 
 
 def _hand_flip(scene, hand, steps: Substeps, num_particles: int, *, num_observed: int, **changes) -> HandFlip:

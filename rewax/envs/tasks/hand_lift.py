@@ -120,6 +120,7 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> HandLi
         scene={"max_active_nodes": 4096},
         rest_positions=random_box(r["center"], (r["edge"],) * 3, r["num_particles"]),
         cloud=PointCloud(num_points=r["num_observed"], stride=r["stride"]),
+        exact_limits=False,
     )
 
 
@@ -138,7 +139,6 @@ def small(*, dt: float | None = None, num_substeps: int | None = None) -> HandLi
         noise=reset_noise((-0.015, 0.0, -0.015), (0.015, 0.0, 0.015)),
         joint_step=jnp.full(NUM_JOINTS, 0.06),
         max_steps=60,
-        exact_limits=True,
         datum=0.24,
         unit=0.05,
     )

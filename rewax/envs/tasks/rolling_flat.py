@@ -119,6 +119,7 @@ def paper(
         height_origin=0.0,
         num_substeps=steps.num,
         max_steps=300,
+        exact_limits=False,
         cloud=PointCloud(num_points=250, stride=10),
         list_every=steps.list_every,
     )

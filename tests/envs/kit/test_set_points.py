@@ -82,6 +82,6 @@ def test_set_points_begin_within_their_limits():
     assert np.allclose(env.ahead(env.reset(jax.random.key(0)).physics), [0.0, 0.02])
 
 
-def test_exact_limits_are_refused():
-    with pytest.raises(ValueError, match="exact_limits is True, but joints that follow set points have no limits"):
-        held().replace(exact_limits=True)
+def test_frozen_limits_are_refused():
+    with pytest.raises(ValueError, match="exact_limits is False, but joints that follow set points have no limits"):
+        held().replace(exact_limits=False)

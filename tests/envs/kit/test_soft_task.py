@@ -85,6 +85,12 @@ def test_limits_are_frozen_or_exact(exact, slope):
     np.testing.assert_allclose([by_place[0], by_action[0]], [1.0, 0.05], rtol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["RollingFlat", "HandFlip", "FluidMove", "HandLift"])
+def test_limits_are_exact_but_for_the_references_tasks(name):
+    assert rewax.make(name, scale="small").exact_limits
+    assert not rewax.make(name, scale="paper").exact_limits
+
+
 # --- Point clouds ----------------------------------------------------------------------------------------------------
 
 

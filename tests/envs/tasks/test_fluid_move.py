@@ -129,3 +129,15 @@ def test_gradient_by_actions_is_that_of_differences(x64):
     env = env.replace(num_substeps=3, list_every=None, spill_width=jnp.asarray(0.05))
     errors = difference_errors(env, num_steps=4, scale=0.9, h=1e-7)
     assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4
+
+
+@pytest.mark.slow
+def test_gradient_where_limits_stop_the_container_is_that_of_differences_unless_they_are_frozen(x64):
+    """The container may move by 4 mm in all, and an action moves it by up to 9 mm."""
+    env = fluid_move.small()
+    near = {"joint_lower": env.joint_start - 4e-3, "joint_upper": env.joint_start + 4e-3}
+    env = env.replace(num_substeps=3, list_every=None, spill_width=jnp.asarray(0.05), **near)
+    errors = difference_errors(env, num_steps=4, scale=0.9, h=1e-7)
+    assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4
+    frozen = difference_errors(env.replace(exact_limits=False), num_steps=4, scale=0.9, h=1e-7)
+    assert frozen[:, 0].max() < 1e-9 and frozen[:, 1].min() > 0.1
