@@ -235,12 +235,11 @@ def test_a_limit_passes_no_gradient_to_what_pushes_against_it(start):
 
 @pytest.mark.parametrize(("exact", "slopes"), [(True, [0.0, 1.0, 1.0]), (False, [1.0, 1.0, 1.0])])
 def test_a_limit_hides_where_the_pin_came_from_unless_it_is_frozen(start, exact, slopes):
-    """The pin is stopped along x. The reference's limits, which are frozen, pass a gradient to its place all the same."""
-    env, q = SMALL.replace(exact_limits=exact), SMALL.joint_lower.at[2].set(0.3)
+    """The pin is stopped along x. The reference's limits are frozen."""
+    env, q, action = SMALL.replace(exact_limits=exact), SMALL.joint_lower.at[2].set(0.3), jnp.array([-0.5, 0.5, -0.5])
 
     def after(q):
-        state = start.replace(physics=start.physics.replace(joint_q=q))
-        return env.step(state, jnp.array([-0.5, 0.5, -0.5])).physics.joint_q
+        return env.step(start.replace(physics=start.physics.replace(joint_q=q)), action).physics.joint_q
 
     np.testing.assert_allclose(jax.jit(jax.jacobian(after))(q), np.diag(slopes), atol=1e-6)
 
