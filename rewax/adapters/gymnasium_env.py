@@ -30,7 +30,7 @@ from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.registry import make
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.training.evaluation.recording import snapshots
-from rewax.viz.render import pictures
+from rewax.viz.render import last_picture
 
 try:
     import gymnasium
@@ -87,7 +87,7 @@ class GymnasiumEnv(gymnasium.Env):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset before render")
         recording = self._record([self._first.physics, self._state.physics])
-        return list(pictures(recording, size=self._size, renderer="software"))[-1]
+        return last_picture(recording, size=self._size)
 
 
 class GymnasiumVectorEnv(VectorEnv):
