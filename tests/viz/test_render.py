@@ -30,10 +30,10 @@ def test_without_opengl_every_frame_is_drawn_all_the_same(no_opengl):
 
 
 def test_the_last_picture_is_drawn_alone_and_framed_by_all():
-    recording = recordings.moving_ball(3, travel=2.0)
-    expected = list(pictures(recording, size=(48, 64), renderer="software"))[-1]
-    np.testing.assert_array_equal(last_picture(recording, size=(48, 64)), expected)
-    assert (last_picture(recordings.moving_ball(1), size=(48, 64)) != expected).any()
+    recording = recordings.cloud(3, travel=0.1)
+    first, *_, last = drawn(recording, renderer="software")
+    np.testing.assert_array_equal(last_picture(recording, size=SIZE), last)
+    assert (first != last).any()
 
 
 def test_a_driver_that_crashes_is_replaced_in_the_middle(monkeypatch):
