@@ -38,6 +38,11 @@ def half_cut(new, old, action):
     return new.replace(reward=new.reward + jnp.sum(jax.lax.stop_gradient(new.obs["x"])))
 
 
+def blind(new, old, action):
+    """An observation that policies see, but gradients do not."""
+    return new.replace(obs=jax.lax.stop_gradient(new.obs))
+
+
 def jumping(new, old, action):
     """A reward that jumps too often for any difference, and has the slope of its smooth part."""
     action = jnp.clip(jnp.nan_to_num(action), -1.0, 1.0)
@@ -216,6 +221,9 @@ BROKEN = {
     },
     r"the derivative of the reward of 3 steps along a direction .* is -?[\d.]+, and central differences give -?[\d.]+: a stop_gradient": {
         "step": step_with(half_cut)
+    },
+    r"the derivative of obs\['x'\] after 3 steps \(summed with random signs\) along a direction of their actions is 0, and": {
+        "step": step_with(blind)
     },
     r"is 3, and central differences give 0: a stop_gradient, .* custom derivative": {
         "step": step_with(straight_through)

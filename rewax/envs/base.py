@@ -15,6 +15,9 @@ NO_LEAF = -1
 """The value of ``State.failed_leaf`` after a step that did not fail."""
 SENSOR_LEAF = 2**30
 """The value of ``State.failed_leaf`` after a step in which a sensor of ``Sensing`` observed a non-finite number."""
+MEMORY_LEAF = SENSOR_LEAF + 1
+"""The value of ``State.failed_leaf`` after a step in which a policy returned a memory that is not finite."""
+_ADDED = {SENSOR_LEAF: "the observation of a sensor", MEMORY_LEAF: "the memory of the policy"}
 
 
 @struct.dataclass
@@ -176,13 +179,36 @@ def next_state(
     )
 
 
+def with_observations(state: State, added: Observation, before: Observation, *, leaf: int) -> State:
+    """The state after a step, with observations that a wrapper adds. One that is not finite fails the step.
+
+    Args:
+      state: the state of the wrapped environment after the step.
+      added: the further observations.
+      before: observations before the step, which those of a failed step keep.
+      leaf: the value of ``State.failed_leaf`` if this fails the step.
+
+    Gradient: passes through; cut where the added observations fail.
+    """
+    failed = ~all_finite(added)
+    added = {name: jnp.where(failed, jax.lax.stop_gradient(before[name]), value) for name, value in added.items()}
+    return state.replace(
+        obs={**state.obs, **added},
+        reward=jnp.where(failed, 0.0, state.reward),
+        terminated=state.terminated | failed,
+        truncated=state.truncated & ~failed,
+        status=state.status | flag(failed, Status.NAN),
+        failed_leaf=jnp.where(failed & (state.failed_leaf == NO_LEAF), leaf, state.failed_leaf),
+    )
+
+
 def failed_leaf_name(env: "Env", leaf: int) -> str:
     """The name of the array with index ``State.failed_leaf``: ``"physics.rigid.qpos"``, ``"obs['state']"``.
 
     Args:
       env: the environment, unbatched.
-      leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit, and
-        ``SENSOR_LEAF`` ``"the observation of a sensor"``.
+      leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit.
+        What wrappers add has names of its own: ``"the observation of a sensor"``, ``"the memory of the policy"``.
     """
     state = jax.eval_shape(env.reset, jax.random.key(0))
     own = jax.eval_shape(getattr(env, "unwrapped", env).reset, jax.random.key(0)).obs  # wrappers add further ones
@@ -193,8 +219,8 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
         for path, value in jax.tree.leaves_with_path(tree)
         if jnp.issubdtype(value.dtype, jnp.inexact)
     ]
-    if leaf == SENSOR_LEAF:
-        return "the observation of a sensor"
+    if leaf in _ADDED:
+        return _ADDED[leaf]
     return "nothing" if leaf < 0 else names[leaf] if leaf < len(names) else "status"
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.envs.base import ArraySpec, Env, State
+from rewax.envs.base import MEMORY_LEAF, ArraySpec, Env, State, with_observations
 from rewax.envs.wrappers import _Wrapper
 from rewax.status import FATAL
 from rewax.types import Array, Key
@@ -28,8 +28,8 @@ class Remembering(struct.Replaceable, _Wrapper):
 
     ``reset`` sets it to its start. ``step`` takes ``Remembered(action, memory)`` and shows this memory beside the next
     observation. Behind ``AutoReset`` a new episode therefore begins with it, in its own environment only, and the
-    memory is a part of the state that checkpoints and devices hold. After a numerical failure the memory keeps its
-    value, as all observations do.
+    memory is a part of the state that checkpoints and devices hold. A memory that is not finite fails the step, as an
+    observation does. After a numerical failure the memory keeps its value.
 
     Attributes:
       env: an environment without auto-reset.
@@ -61,7 +61,7 @@ class Remembering(struct.Replaceable, _Wrapper):
         new = self.env.step(state.replace(obs=own), action.action)
         failed = (new.status & int(FATAL)) != 0
         memory = jnp.where(failed, state.obs[MEMORY], action.memory.astype(state.obs[MEMORY].dtype))
-        return new.replace(obs={**new.obs, MEMORY: memory})
+        return with_observations(new, {MEMORY: memory}, state.obs, leaf=MEMORY_LEAF)
 
 
 def remembering(env: Env, size: int, start: Array | None = None) -> Remembering:

@@ -4,18 +4,16 @@ import math
 from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.envs.base import NO_LEAF, SENSOR_LEAF, ArraySpec, State
+from rewax.envs.base import SENSOR_LEAF, ArraySpec, State, with_observations
 from rewax.envs.randomized import innermost
 from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
-from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Key, Observation
 
 _STREAM = 0x5E45
@@ -96,7 +94,7 @@ class Sensing(struct.Replaceable, _Wrapper):
     def step(self, state: State, action: Array) -> State:
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}
         after = self._feeling.step(state.replace(obs=own), action)
-        return _blinded(after, self._see(after), {name: state.obs[name] for name in self.sensors})
+        return with_observations(after, self._see(after), state.obs, leaf=SENSOR_LEAF)
 
     def world(self, physics: Any, up: np.ndarray | None = None) -> World:
         """The world of the environment's own parameters, by default with ``self.up``. Gradient: exact."""
@@ -141,20 +139,6 @@ class Sensing(struct.Replaceable, _Wrapper):
             name: self.sensors[name].see(world.replace(felt=felt[name]) if name in felt else world, keys[i])
             for i, name in enumerate(sorted(self.sensors))
         }
-
-
-def _blinded(state: State, seen: Observation, before: Observation) -> State:
-    """The state with what the sensors see; a failed step, if that holds a non-finite number."""
-    blind = ~all_finite(seen)
-    seen = {name: jnp.where(blind, jax.lax.stop_gradient(before[name]), value) for name, value in seen.items()}
-    return state.replace(
-        obs={**state.obs, **seen},
-        reward=jnp.where(blind, 0.0, state.reward),
-        terminated=state.terminated | blind,
-        truncated=state.truncated & ~blind,
-        status=state.status | flag(blind, Status.NAN),
-        failed_leaf=jnp.where(blind & (state.failed_leaf == NO_LEAF), SENSOR_LEAF, state.failed_leaf),
-    )
 
 
 def _with_touch(env: Any, touch: dict[str, Patches]) -> Any:

@@ -6,7 +6,7 @@ import jax
 
 from rewax.envs.base import Env
 from rewax.testing import functions, states
-from rewax.testing.gradient import RewardGradient
+from rewax.testing.gradient import ActionGradient
 from rewax.testing.progress import Progress
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
@@ -40,8 +40,9 @@ def check_env(
       with a fatal one;
     - ``step`` clips actions, never resets, truncates exactly at ``episode_length``, and never truncates a state that
       terminates;
-    - the gradient of the reward with respect to the actions is finite and not zero, and agrees with central differences
-      along two directions, unless differences of five sizes do not agree with each other;
+    - the gradient of the reward with respect to the actions is finite and not zero. It and that of each observation,
+      but of sensors, agree with central differences along two directions, unless differences of five sizes do not agree
+      with each other;
     - the results of ``particles`` and ``render_shapes`` can be drawn.
 
     Args:
@@ -51,7 +52,7 @@ def check_env(
       check_full_episode: also run to ``episode_length``, which may take long.
       gradient_steps: number of steps after a reset within which some action must change some reward.
       gradient_tolerance: largest relative difference of a derivative from a central difference; None: not compared. Use
-        None where ``stop_gradient`` or a custom derivative changes the gradient of the reward on purpose.
+        None where ``stop_gradient`` or a custom derivative changes a gradient on purpose.
       notify: called with a line before each part, because compiling takes a while; None: silence.
 
     Raises:
@@ -84,10 +85,10 @@ def check_env(
     say("three side by side")
     functions.check_vmap(env, reset, step, key, tolerance)
     say(f"gradient through {gradient_steps} steps")
-    gradient = RewardGradient(env, state, key, gradient_steps)
+    gradient = ActionGradient(env, state, key, gradient_steps)
     gradient.check()
     if gradient_tolerance is not None:
-        say("differences of the reward")
+        say("differences of reward and observations")
         gradient.check_differences(new, gradient_tolerance, say)
     if check_full_episode:
         say(f"an episode of {env.episode_length} steps")

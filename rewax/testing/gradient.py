@@ -1,4 +1,4 @@
-"""Checks of the gradient of the reward with respect to actions: finite, not zero, equal to central differences."""
+"""Checks of the gradients of reward and observations by actions: finite, not zero, equal to central differences."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -19,30 +19,47 @@ _STEPS = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 _SETTLED = 0.05
 """Differences of two steps, one three times the other, that agree to this are those of a smooth function."""
 _ROUNDING = 100.0
-"""Changes of the summed reward below this many units of rounding say nothing."""
+"""Changes of a sum below this many units of rounding say nothing."""
 
 
-class _Rewards(NamedTuple):
-    """The summed reward of a few steps, the bits that they set, and the last state."""
+class _Weights(NamedTuple):
+    """What is differentiated: the factor of the summed reward, and those of each number of the last observation."""
+
+    reward: Array
+    obs: dict[str, Array]
+
+
+class _Result(NamedTuple):
+    """The weighted sum after a few steps, the bits that they set, and the last state."""
 
     total: Array
     status: Array
     last: State
 
 
-class RewardGradient:
-    """The gradient of the summed reward of a few random steps with respect to their actions, compiled once."""
+class ActionGradient:
+    """The gradient of reward and observation of a few random steps with respect to their actions, compiled once."""
 
     def __init__(self, env: Env, state: State, key: Key, num_steps: int) -> None:
         self._env, self._key, self._leaves = env, key, EnvLeaves.of(env)
         self._state, self._num_steps = state, num_steps
         self._actions = 0.9 * jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, num_steps))
         self._program = jax.jit(jax.grad(_summed, has_aux=True))
+        floats = {name: value for name, value in state.obs.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+        none = {name: jnp.zeros_like(value) for name, value in floats.items()}
+        self._reward = _Weights(jnp.ones_like(state.reward), none)
+        self._observations = {
+            name: _Weights(
+                jnp.zeros_like(state.reward), {**none, name: jax.random.rademacher(key, value.shape, value.dtype)}
+            )
+            for name, value in floats.items()
+            if name not in _sensors(env)
+        }
 
     def check(self) -> None:
         """Checks that the gradient is finite, and that at least one of its entries is nonzero."""
-        gradient, rewards = self._at(self._state, self._actions)
-        failed = Status(int(np.asarray(rewards.status)))
+        gradient, result = self._at(self._state, self._actions, self._reward)
+        failed = Status(int(np.asarray(result.status)))
         assert failed == Status.OK, (
             f"{self._num_steps} steps of random actions fail numerically ({failed!r}): give {remedy(failed)}"
         )
@@ -51,7 +68,7 @@ class RewardGradient:
             "or a division at 0 does it, in the branch of a jnp.where that is not taken too; jax.debug_nans(True) "
             "finds it"
         )
-        assert finite(self._at(self._state, jnp.zeros_like(self._actions))[0]), (
+        assert finite(self._at(self._state, jnp.zeros_like(self._actions), self._reward)[0]), (
             "the gradient of the reward at action 0 holds a number that is not finite: a root or a norm at 0 does it; "
             "take rewax.envs.kit.rewards.smooth_norm, or add a small number under the root"
         )
@@ -59,18 +76,29 @@ class RewardGradient:
             raise AssertionError(self._what_follows())
 
     def check_differences(self, state: State, tolerance: float, say: Callable[[str], None]) -> None:
-        """Checks derivatives along two directions against central differences of the reward, from ``state``.
+        """Checks derivatives against central differences, from ``state``: of the reward, and of each observation.
 
-        A direction passes with the first difference that agrees. It fails if none agrees and the two differences with
-        the smallest steps agree with each other. If they do not either, as where contacts begin within the smallest
-        step, or where rounding hides them, then ``say`` gets a line.
+        Policies and values get their gradients through both. Of an observation the sum is compared, with random signs.
+        Those of sensors are left out: they have no gradient unless it is asked for. Each derivative is taken along two
+        directions. A direction passes with the first difference that agrees. It fails if none agrees and the two
+        differences with the smallest steps agree with each other. If they do not either, as where contacts begin within
+        the smallest step, or where rounding hides them, then ``say`` gets a line.
 
         Args:
           state: a state some steps after a reset. Rewards may refer to the first steps of an episode.
           tolerance: largest difference, relative to the derivative.
           say: takes a line.
         """
-        gradient, _ = self._at(state, self._actions)
+        self._compare(state, self._reward, f"the reward of {self._num_steps} steps", tolerance, say)
+        for name, weights in self._observations.items():
+            what = f"obs[{name!r}] after {self._num_steps} steps (summed with random signs)"
+            self._compare(state, weights, what, tolerance, say)
+
+    def _compare(
+        self, state: State, weights: _Weights, what: str, tolerance: float, say: Callable[[str], None]
+    ) -> None:
+        gradient, _ = self._at(state, self._actions, weights)
+        assert finite(gradient), f"the gradient of {what} with respect to the actions holds a number that is not finite"
         half = (self._env.action_spec.high - self._env.action_spec.low) / 2
         signs = jax.random.rademacher(self._key, self._actions.shape, self._actions.dtype)
         # The derivative along random signs is about as large as this norm. One that is smaller by cancellation is not
@@ -79,7 +107,7 @@ class RewardGradient:
         for direction in (half * jnp.sign(gradient), half * signs):
             derivative = float(jnp.vdot(gradient, direction))
             differences = []
-            for difference in self._differences(state, direction, derivative):
+            for difference in self._differences(state, weights, direction, derivative):
                 differences.append(difference)
                 if abs(difference - derivative) <= tolerance * max(abs(difference), abs(derivative), norm):
                     break
@@ -89,30 +117,29 @@ class RewardGradient:
                     say("differences do not settle (contacts begin or end, or rounding): one direction is not compared")
                     continue
                 raise AssertionError(
-                    f"the derivative of the reward of {self._num_steps} steps along a direction of their actions is "
-                    f"{derivative:.4g}, and central differences give {differences[-1]:.4g}: a stop_gradient, a "
-                    "rounding, a comparison or a custom derivative cuts or changes a part; if that is meant, check "
-                    "with gradient_tolerance=None"
+                    f"the derivative of {what} along a direction of their actions is {derivative:.4g}, and central "
+                    f"differences give {differences[-1]:.4g}: a stop_gradient, a rounding, a comparison or a custom "
+                    "derivative cuts or changes a part; if that is meant, check with gradient_tolerance=None"
                 )
 
-    def _differences(self, state: State, direction: Array, derivative: float) -> Iterator[float]:
+    def _differences(self, state: State, weights: _Weights, direction: Array, derivative: float) -> Iterator[float]:
         """Central differences, from the largest step to the smallest that exceeds rounding."""
         for step in _STEPS:
-            above = float(self._at(state, self._actions + step * direction)[1].total)
-            below = float(self._at(state, self._actions - step * direction)[1].total)
+            above = float(self._at(state, self._actions + step * direction, weights)[1].total)
+            below = float(self._at(state, self._actions - step * direction, weights)[1].total)
             rounding = _ROUNDING * float(jnp.finfo(direction.dtype).eps) * max(abs(above), abs(below))
             if max(abs(above - below), abs(2 * step * derivative)) <= rounding:
                 return
             yield (above - below) / (2 * step)
 
-    def _at(self, state: State, actions: Array) -> tuple[Array, _Rewards]:
-        return named("step", self._program, actions, self._leaves, state)
+    def _at(self, state: State, actions: Array, weights: _Weights) -> tuple[Array, _Result]:
+        return named("step", self._program, actions, self._leaves, state, weights)
 
     def _what_follows(self) -> str:
         """The error message for a zero gradient. It says whether the actions change the state."""
 
         def end(actions: Array) -> dict[str, Array]:
-            last = _summed(actions, self._leaves, self._state)[1].last
+            last = _summed(actions, self._leaves, self._state, self._reward)[1].last
             leaves = jax.tree.leaves_with_path({"physics": last.physics, "obs": dict(last.obs)})
             names = [jax.tree_util.keystr(path[:1], simple=True) + jax.tree_util.keystr(path[1:]) for path, _ in leaves]
             pairs = zip(names, (leaf for _, leaf in leaves), strict=True)
@@ -134,7 +161,7 @@ class RewardGradient:
         )
 
 
-def _summed(actions: Array, leaves: EnvLeaves, state: State) -> tuple[Array, _Rewards]:
+def _summed(actions: Array, leaves: EnvLeaves, state: State, weights: _Weights) -> tuple[Array, _Result]:
     env = leaves.build()
 
     def body(state: State, action: Array) -> tuple[State, tuple[Array, Array]]:
@@ -142,8 +169,17 @@ def _summed(actions: Array, leaves: EnvLeaves, state: State) -> tuple[Array, _Re
         return state, (state.reward, state.status)
 
     last, (rewards, status) = jax.lax.scan(body, state, actions)
-    total = jnp.sum(rewards)
-    return total, _Rewards(total, jax.lax.reduce(status, status.dtype.type(0), jax.lax.bitwise_or, (0,)), last)
+    total = weights.reward * jnp.sum(rewards) + sum(jnp.vdot(w, last.obs[name]) for name, w in weights.obs.items())
+    return total, _Result(total, jax.lax.reduce(status, status.dtype.type(0), jax.lax.bitwise_or, (0,)), last)
 
 
-__all__ = ["RewardGradient"]
+def _sensors(env: Env) -> frozenset[str]:
+    """Names of the observations that sensors make, which see the world through any wrapper."""
+    names: frozenset[str] = frozenset()
+    while env is not None:
+        names |= frozenset(getattr(env, "sensors", None) or ())
+        env = getattr(env, "env", None)
+    return names
+
+
+__all__ = ["ActionGradient"]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.envs import AutoReset, Vmap
+from rewax.envs import AutoReset, Vmap, failed_leaf_name
 from rewax.envs.memory import MEMORY, Remembered, Remembering, remembering
+from rewax.status import Status
 
 SIZE = 3
 
@@ -61,6 +62,22 @@ def test_a_failed_step_keeps_the_memory_and_the_next_episode_begins_with_zeros()
     assert after.terminated.all()
     np.testing.assert_array_equal(after.final_obs[MEMORY], drawn(0).memory)
     np.testing.assert_array_equal(after.obs[MEMORY], np.zeros((3, SIZE)))
+
+
+def test_a_memory_that_is_not_finite_fails_the_step_and_is_named():
+    env = remembers()
+    state = Vmap(env=env).step(Vmap(env=env).reset(jax.random.split(jax.random.key(0), 3)), drawn(0))
+    one_bad = drawn(1)._replace(memory=drawn(1).memory.at[1, 0].set(jnp.nan))
+    after = Vmap(env=env).step(state, one_bad)
+    np.testing.assert_array_equal(after.status & int(Status.NAN), [0, int(Status.NAN), 0])
+    np.testing.assert_array_equal(after.terminated, [False, True, False])
+    assert after.reward[1] == 0.0 and after.reward[0] != 0.0
+    np.testing.assert_array_equal(after.obs[MEMORY][1], drawn(0).memory[1])
+    assert [failed_leaf_name(env, int(leaf)) for leaf in after.failed_leaf] == [
+        "nothing",
+        "the memory of the policy",
+        "nothing",
+    ]
 
 
 def test_an_action_without_memory_and_a_taken_name_are_sentences():
