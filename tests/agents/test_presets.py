@@ -62,6 +62,8 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
         getattr(short, name) for name in (*ACTOR, "target_decay")
     ]
     assert ahac_preset("Hopper", "paper").target_decay is None
+    assert ahac.max_env_grad_norm == 10.0 and ahac_preset("Hopper", "paper").max_env_grad_norm is None
+    assert ahac_preset("Quadruped", "small").max_env_grad_norm is None
     ablations = read_suite("ablations")
     for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
         for name in (*ACTOR, "target_decay"):
