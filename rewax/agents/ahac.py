@@ -84,6 +84,11 @@ class AHACConfig(FirstOrderConfig):
         del env
         return self.initial_horizon
 
+    def differentiated_steps(self, env: Env) -> int:
+        """Control steps of one environment that a rollout has room for."""
+        del env
+        return self.horizon
+
 
 Networks: TypeAlias = ActorCritic[AHACConfig]
 
@@ -167,7 +172,7 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
 
     Args:
       config, state: the run.
-      growth: mean log growth from ``gradient_growth``.
+      growth: mean log growth from ``gradient_growth``. Where it is not known (NaN), the horizon stays.
 
     Returns:
       The new state, and the metrics ``horizon`` (of the last rollout) and ``growth``.
@@ -175,7 +180,8 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
     steps = jnp.maximum(jnp.round(state.horizon), 2.0)
     of_a_sum = jnp.log(steps) / (steps - 1.0)  # the gradient of n equal rewards is n times that of the last one
     allowed = jnp.maximum(jnp.log(config.max_growth), of_a_sum)
-    horizon = state.horizon - config.horizon_rate * (growth - allowed)
+    excess = jnp.where(jnp.isnan(growth), 0.0, growth - allowed)
+    horizon = state.horizon - config.horizon_rate * excess
     new = state.replace(horizon=jnp.clip(horizon, config.min_horizon, config.horizon))
     return new, {"horizon": jnp.round(state.horizon), "growth": jnp.exp(growth)}
 
@@ -183,12 +189,14 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
 def gradient_growth(norms: Array, transitions: Transition) -> Array:
     """Mean logarithm of the factor by which the state's gradient grows backwards over a control step, shape ().
 
+    A norm that overflows counts as the largest float, and one that is NaN does not count. NaN if no step counts.
+
     Args:
       norms: norms of the gradient with respect to the state before each step, shape (num_envs, T).
       transitions: leading axes (num_envs, T). Steps that end an episode cut the gradient and are left out.
     """
     before, after = norms[:, :-1], norms[:, 1:]
-    counts = transitions.active[:, 1:] & ~transitions.done[:, :-1] & (before > 0) & (after > 0)
-    counts = counts & jnp.isfinite(before) & jnp.isfinite(after)
+    counts = transitions.active[:, 1:] & ~transitions.done[:, :-1] & (before > 0) & (after > 0) & jnp.isfinite(after)
+    before = jnp.minimum(before, jnp.finfo(before.dtype).max)
     growth = jnp.log(jnp.where(counts, before, 1.0)) - jnp.log(jnp.where(counts, after, 1.0))
-    return jnp.sum(growth) / jnp.maximum(jnp.sum(counts), 1)
+    return jnp.where(counts.any(), jnp.sum(growth) / jnp.maximum(jnp.sum(counts), 1), jnp.nan)

@@ -95,6 +95,10 @@ class RunConfig:
         """Control steps of one environment in one iteration."""
         return self.horizon or env.episode_length
 
+    def differentiated_steps(self, env: Env) -> int:
+        """Control steps of one environment that are differentiated at once, which decides how much memory it takes."""
+        return self.steps_in(env)
+
 
 def steps_in(config: Any, env: Env) -> int:
     """Control steps of one environment per iteration; the horizon for a configuration that is no ``RunConfig``.

@@ -34,7 +34,7 @@ from rewax.agents.first_order import Rollout, critic_optimizer, critic_update, s
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
 from rewax.agents.optimizers import apply, finite_or_zero
-from rewax.agents.rollout import Transition, masked
+from rewax.agents.rollout import Transition, first_episode, masked
 from rewax.agents.run_state import staggered
 from rewax.agents.sapo import Networks, SAPOConfig
 from rewax.agents.temperature import SoftState, start_temperature
@@ -69,6 +69,10 @@ class DemonstratedConfig(SAPOConfig):
     def demonstrations(self, env: Env) -> int:
         """Number of iterations of the first phase."""
         return int(self.demonstration_share * self.num_iterations * self.horizon) // env.episode_length
+
+    def differentiated_steps(self, env: Env) -> int:
+        """Control steps of one environment that are differentiated at once: an episode, if there is a first phase."""
+        return env.episode_length if self.demonstrations(env) else super().differentiated_steps(env)
 
     def second_phase(self, env: Env) -> SAPOConfig:
         """Options of SAPO in the second phase. Learning rates fall over its iterations.
@@ -176,11 +180,12 @@ def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> 
     actions, opt = apply(config.sequence.optimizer, grad, state.actions_opt, state.actions)
     actions = jnp.clip(actions, env.action_spec.low, env.action_spec.high)
 
-    state, cloning_metrics = clone(config, networks, state.replace(actions=actions, actions_opt=opt), t)
+    shown = first_episode(t)
+    state, cloning_metrics = clone(config, networks, state.replace(actions=actions, actions_opt=opt), shown)
     next_obs = networks.normalize(state.environments.statistics, t.next_obs)
     next_values = jax.vmap(functools.partial(networks.values, state.critic_params))(next_obs)
-    state, critic_metrics = critic_update(networks, state, Rollout(end, t, next_values), t.reward)
-    state, episode_metrics = state.after(config, end, t, key)
+    state, critic_metrics = critic_update(networks, state, Rollout(end, shown, next_values), shown.reward)
+    state, episode_metrics = trajopt.after_sequence(config, state, end, t, key)
     if config.stagger_episodes:  # for the second phase; the first one restarts all environments
         state = state.replace(environments=staggered(state.environments, stagger_key))
     return state, {**episode_metrics, **metrics, **cloning_metrics, **critic_metrics}
@@ -203,14 +208,12 @@ def clone(
 
     Args:
       config, networks, state: the policy network with its optimizer, and the run.
-      transitions: leading axes (num_envs, T). Steps after the first end of an episode are masked, because the sequence
-        does not restart there.
+      transitions: from ``first_episode``, leading axes (num_envs, T).
 
     Returns:
       The new state, and the metric ``cloning_loss``.
     """
-    done = transitions.done
-    counts = transitions.valid & (jnp.cumsum(done, axis=1) - done == 0)
+    counts = transitions.valid
     obs = networks.normalize(state.environments.statistics, transitions.obs)
     obs, actions = masked((dict(obs), transitions.action), counts)
     flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), (obs, actions, counts))

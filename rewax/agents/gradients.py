@@ -14,7 +14,6 @@ from rewax.agents.optimizers import Packing
 from rewax.agents.run_state import Environments, RunState
 from rewax.envs.base import State
 from rewax.envs.wrappers import AutoReset
-from rewax.status import all_finite
 from rewax.types import Array, Key, PyTree
 
 R = TypeVar("R", bound=RunState)
@@ -76,7 +75,7 @@ def mean_gradient(losses: Array, grads: PyTree, *, max_norm: EnvLimit = None) ->
 
 
 def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
-    """Mean gradient over the environments with a finite loss and a finite gradient.
+    """Mean gradient over the environments with a finite loss and gradient, see ``finite_per_env``.
 
     Args:
       losses: shape (num_envs,).
@@ -85,13 +84,21 @@ def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
     Returns:
       The mean, zero if no environment is left; and a mask of the environments in the mean, shape (num_envs,), bool.
     """
-    kept = jax.vmap(all_finite)((losses, grads))
+    kept = finite_per_env(losses, grads)
     count = jnp.maximum(kept.sum(), 1)
 
     def mean(g: Array) -> Array:
         return jnp.sum(jnp.where(_expand(kept, g), g, 0.0), axis=0) / count
 
     return jax.tree.map(mean, grads), kept
+
+
+def finite_per_env(losses: Array, grads: PyTree) -> Array:
+    """Whether loss and norm of the gradient are finite, shape (num_envs,), bool.
+
+    A gradient of finite numbers whose norm overflows would stop an optimizer: it divides by the norm or the square.
+    """
+    return jnp.isfinite(losses) & jnp.isfinite(jax.vmap(optax.tree.norm)(grads))
 
 
 def clip_per_env(grads: PyTree, max_norm: float | Literal["median"]) -> PyTree:

@@ -60,7 +60,7 @@ class PPOConfig(ActorCriticConfig):
       entropy_coefficient: weight of the entropy of the normal distribution before its tanh.
       target_kl: KL divergence per epoch towards which the learning rate is adapted; None: a fixed learning rate.
       learning_rate_range: limits of the learning rate.
-      normalize_values: the critic predicts returns divided by their running standard deviation.
+      normalize_values: the critic predicts returns minus their running mean, in units of their running deviation.
     """
 
     actor_learning_rate: float = 5e-4

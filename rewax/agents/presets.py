@@ -136,7 +136,7 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
 """Tasks where the critics of SHAC and AHAC have larger learning rates than the defaults, as in the reference."""
 _SAPOS_ACTOR: dict[str, Value] = {"activation": "silu", "initial_gain": 1.0, "state_dependent_std": True}
 _SHORT_RUNS: dict[str, Value] = _SAPOS_ACTOR | {"target_decay": 0.2}
-"""SHAC and AHAC in runs of a few hundred iterations: SAPO's actor, and a target network that follows in a few."""
+"""SHAC and AHAC in runs of a few hundred iterations: SAPO's layers, and a target network that follows in a few."""
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
@@ -159,8 +159,8 @@ def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
 def shac_preset(env_name: str, scale: str) -> SHACConfig:
     """Hyper-parameters of SHAC; see ``sapo_preset``.
 
-    At ``small`` the actor is SAPO's, and the target network follows fast. It also does at ``paper`` where the critics
-    learn fast.
+    At ``small`` the actor has SAPO's activation, initial gain and state-dependent standard deviation, which begins at
+    exp(-1), and the target network follows fast. It also does at ``paper`` where the critics learn fast.
     """
     changes: dict[str, Value] = dict(_SHORT_RUNS) if scale == "small" else {}
     if env_name in _FAST_CRITICS:
@@ -169,7 +169,7 @@ def shac_preset(env_name: str, scale: str) -> SHACConfig:
 
 
 def apg_preset(env_name: str, scale: str) -> APGConfig:
-    """Hyper-parameters of APG with a short horizon; see ``sapo_preset``. At ``small`` the actor is SAPO's."""
+    """Hyper-parameters of APG with a short horizon; see ``sapo_preset``. At ``small`` its actor is SHAC's."""
     changes = _SAPOS_ACTOR if scale == "small" else {}
     return _sized(APGConfig, sapo_preset(env_name, scale), **changes)
 
@@ -189,8 +189,8 @@ def rpo_preset(env_name: str, scale: str) -> RPOConfig:
 def ahac_preset(env_name: str, scale: str) -> AHACConfig:
     """Hyper-parameters of AHAC. Its horizon starts as SAPO's and may double; see ``sapo_preset``.
 
-    At ``small`` the actor is SAPO's, and the target network follows fast, as in ``shac_preset``. On Hopper each
-    environment's gradient has a limit there: without it, that of one of five seeds is a hundred times as large.
+    At ``small`` actor and target network are those of ``shac_preset``. On Hopper each environment's gradient has a
+    limit there: without it, that of one of five seeds is a hundred times as large.
     """
     base = sapo_preset(env_name, scale)
     changes: dict[str, Value] = dict(_SHORT_RUNS) if scale == "small" else {}

@@ -145,6 +145,25 @@ def rollout(
     return jax.lax.stop_gradient(out) if differentiate == "none" else out
 
 
+def first_episode(transitions: Transition) -> Transition:
+    """The transitions until an episode ends for the first time; later steps are inactive, and nothing happens in them.
+
+    For sequences of actions, which do not restart with an episode.
+
+    Args:
+      transitions: the last axis of its scalars is time.
+    """
+    done = transitions.done
+    kept = jnp.cumsum(done, axis=-1) - done == 0
+    return transitions._replace(
+        reward=jnp.where(kept, transitions.reward, 0.0),
+        terminated=transitions.terminated & kept,
+        truncated=transitions.truncated & kept,
+        status=jnp.where(kept, transitions.status, 0),
+        active=transitions.active & kept,
+    )
+
+
 def masked(tree: PyTree, valid: Array) -> PyTree:
     """The tree with zeros where ``valid`` is False. Its arrays begin with the axes of ``valid``, bool."""
     return jax.tree.map(lambda a: jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, 0.0), tree)

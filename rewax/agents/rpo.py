@@ -29,7 +29,7 @@ from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import FirstOrderConfig
 from rewax.agents.distributions import TanhNormal
 from rewax.agents.first_order import Rollout, critic_update, rollout_loss, start_actor_critic
-from rewax.agents.gradients import clip_per_env, per_env_gradients
+from rewax.agents.gradients import clip_per_env, finite_per_env, per_env_gradients
 from rewax.agents.legal import Count, NonNegative
 from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import rollout
@@ -49,6 +49,8 @@ class RPOConfig(FirstOrderConfig):
     """Hyper-parameters beyond those of ``FirstOrderConfig``.
 
     Attributes:
+      max_env_grad_norm: norm to which each environment's derivative by its actions is clipped. Other algorithms clip
+        the gradient of the parameters, so the same number is another limit here.
       epochs: updates of the actor per rollout.
       lowest_ratio, highest_ratio: range of the probability ratio; samples outside it are masked.
       kl_coefficient: weight of the KL divergence from the policy that acted.
@@ -100,7 +102,7 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
     losses, rollouts, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
-    finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))
+    finite = finite_per_env(losses, by_action)
     state, actor_metrics = actor_epochs(networks, state, rollouts, by_action, finite)
     state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
 

@@ -9,7 +9,7 @@ with Adam. The actions are clipped to their bounds after each update, because be
 
 import dataclasses
 import functools
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +18,19 @@ import optax
 from rewax import struct
 from rewax.agents.base import Agent, Metrics, bind
 from rewax.agents.config import GradientOptions, RunConfig, no_memory
+from rewax.agents.episodes import episode_metrics
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Decay, Positive
 from rewax.agents.optimizers import apply
-from rewax.agents.rollout import Transition, rollout
+from rewax.agents.rollout import Transition, first_episode, rollout
 from rewax.agents.run_state import RunState, partition, run_keys, start_environments
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
+
+S = TypeVar("S", bound=RunState)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -116,8 +119,14 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
     grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
     actions, opt_state = apply(config.optimizer, grad, state.opt_state, state.actions)
     state = state.replace(actions=jnp.clip(actions, spec.low, spec.high), opt_state=opt_state)
-    state, episode_metrics = state.after(config, *data, key)
-    return state, {**episode_metrics, **metrics}
+    state, of_sequence = after_sequence(config, state, *data, key)
+    return state, {**of_sequence, **metrics}
+
+
+def after_sequence(config: RunConfig, state: S, end: State, transitions: Transition, key: Key) -> tuple[S, Metrics]:
+    """``RunState.after``, with metrics of those episodes that began with the sequence."""
+    metrics = episode_metrics(state.environments.episode_return, first_episode(transitions))
+    return state.after(config, end, transitions, key)[0], metrics
 
 
 def sequence_loss(
@@ -131,5 +140,5 @@ def sequence_loss(
         return action, {}
 
     end, t = rollout(env, env_state, play, key, horizon=len(actions), inputs=actions, **config.gradient_flow)
-    first = jnp.cumsum(t.done) - t.done == 0  # up to the first end of the episode
-    return -jnp.sum(jnp.where(first & t.valid, t.reward, 0.0)), (end, t)
+    own = first_episode(t)
+    return -jnp.sum(jnp.where(own.valid, own.reward, 0.0)), (end, t)

@@ -1,7 +1,7 @@
 """Checks of the gradients of reward and observations by actions: finite, not zero, equal to central differences."""
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -173,7 +173,7 @@ def _summed(actions: Array, leaves: EnvLeaves, state: State, weights: _Weights) 
     return total, _Result(total, jax.lax.reduce(status, status.dtype.type(0), jax.lax.bitwise_or, (0,)), last)
 
 
-def _sensors(env: Env) -> frozenset[str]:
+def _sensors(env: Any) -> frozenset[str]:
     """Names of the observations that sensors make, which see the world through any wrapper."""
     names: frozenset[str] = frozenset()
     while env is not None:

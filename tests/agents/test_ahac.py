@@ -32,6 +32,14 @@ def test_growth_is_the_mean_logarithm_of_the_ratio_of_norms():
     short[0, 3] = False
     assert gradient_growth(late, transitions(no, short)) == pytest.approx(np.log(2.0))
     assert gradient_growth(norms.at[0, 1].set(jnp.nan), transitions(no, yes)) == pytest.approx(np.log(2.0))
+    over = np.log(np.finfo(np.float32).max / 4.0) + 2.0 * np.log(2.0)
+    assert gradient_growth(norms.at[0, 0].set(jnp.inf), transitions(no, yes)) == pytest.approx(over / 3.0)
+    assert np.isnan(gradient_growth(jnp.full((1, 4), jnp.nan), transitions(no, yes)))
+
+
+def test_a_growth_that_is_not_known_leaves_the_horizon():
+    state = agent("ahac").init(jax.random.key(0)).replace(horizon=jnp.full((), 9.5))
+    assert float(horizon_update(AHACConfig(), state, jnp.full((), jnp.nan))[0].horizon) == 9.5
 
 
 def test_the_horizon_moves_against_the_excess_of_the_growth():

@@ -11,7 +11,7 @@ from agent_cases import CASES, ENV, agent
 from rewax.agents.actor_critic import make_actor_critic
 from rewax.agents.demonstrated import DemonstratedConfig, clone, cloning_loss, make_demonstrated
 from rewax.agents.presets import demonstrated_preset, sapo_preset
-from rewax.agents.rollout import Transition
+from rewax.agents.rollout import Transition, first_episode
 from rewax.envs import make
 
 NAME = "sapo_from_demonstrations"
@@ -79,7 +79,7 @@ def test_actions_after_the_end_of_an_episode_are_not_imitated():
             status=zeros.astype(jnp.int32), failed_leaf=zeros.astype(jnp.int32), metrics={}, aux={},
             active=jnp.ones_like(over),
         )  # fmt: skip
-        return jax.tree.leaves(clone(config, networks, state, transitions)[0].actor_params)
+        return jax.tree.leaves(clone(config, networks, state, first_episode(transitions))[0].actor_params)
 
     plain, later, earlier = (fitted(zeros.at[:, step].set(value)) for step, value in ((1, 0.0), (2, 0.9), (1, 0.9)))
     for a, b in zip(plain, later, strict=True):

@@ -23,6 +23,14 @@ def test_the_mean_leaves_out_what_is_not_finite():
     np.testing.assert_allclose(mean["b"], 0.4, rtol=1e-6)
 
 
+def test_a_gradient_whose_norm_overflows_is_left_out():
+    """Adam divides by its square, and clipping by its norm: both would stop every environment."""
+    long = {"a": GRADS["a"].at[0, 0].set(1e20), "b": GRADS["b"]}
+    mean, kept = mean_of_finite(jnp.zeros(3), long)
+    np.testing.assert_array_equal(kept, [False, True, False])
+    np.testing.assert_allclose(mean["a"], [0.0, 0.3])
+
+
 def test_nothing_is_the_mean_of_nothing():
     mean, kept = mean_of_finite(jnp.full(3, jnp.nan), GRADS)
     assert not kept.any() and all((leaf == 0).all() for leaf in jax.tree.leaves(mean))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.agents.rollout import rollout
+from rewax.agents.rollout import first_episode, rollout
 from rewax.envs.wrappers import AutoReset
 
 LENGTH, HORIZON, GAIN = 4, 6, 0.5
@@ -163,3 +163,15 @@ def test_environments_with_one_number_of_active_steps_skip_the_others(state):
 
     all_steps = steps_computed(0, jnp.asarray([2, 2]))
     assert 3 * steps_computed(None, jnp.asarray(2)) == 2 * all_steps > 0
+
+
+def test_after_the_first_end_of_an_episode_nothing_happens(runs):
+    (_, (_, (_, transitions))), _ = runs["none"]
+    own = first_episode(transitions)
+    early = np.arange(HORIZON) < LENGTH
+    np.testing.assert_array_equal(transitions.active, True)
+    np.testing.assert_array_equal(own.active, early)
+    np.testing.assert_array_equal(own.valid, early)
+    np.testing.assert_array_equal(own.done, transitions.done & early)
+    np.testing.assert_array_equal(own.reward, np.where(early, transitions.reward, 0.0))
+    assert own.done.sum() == 1 and np.all(transitions.reward[LENGTH:] != 0.0)

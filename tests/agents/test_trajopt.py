@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toys
 from agent_cases import ENV, agent, trained
 
+from rewax import struct
 from rewax.agents.trajopt import TrajOptConfig, make_trajopt
 from rewax.training.evaluation.episodes import evaluate_actions, make_evaluate
 from rewax.training.evaluation.recording import record
@@ -35,6 +37,22 @@ def test_actions_stay_within_their_bounds():
     eager = make_trajopt(ENV, config)
     state, _ = eager.train_step(eager.init(jax.random.key(0)))
     assert float(jnp.abs(state.actions).max()) == 1.0
+
+
+def test_the_return_is_that_of_the_episodes_that_the_sequence_began_with():
+    """Episodes that begin anew within an iteration meet the middle of the sequence."""
+
+    class Falling(toys.PointMass):
+        def step(self, state, action):
+            new = super().step(state, action)
+            return new.replace(terminated=new.obs["x"][0] < 0.6)
+
+    env = struct.dataclass(Falling)(gain=jnp.float32(0.5))
+    eager = make_trajopt(env, TrajOptConfig(num_envs=16, learning_rate=1e-6))
+    state = eager.init(jax.random.key(0)).replace(actions=jnp.full((5, 1), -0.4))
+    new, metrics = jax.jit(eager.train_step)(state)
+    assert metrics["episodes"] == 16 and int(new.env_steps) == 80
+    assert metrics["return"] == pytest.approx(-float(metrics["actor_loss"]), rel=1e-5)
 
 
 def test_it_plays_whole_episodes_only():

@@ -43,7 +43,7 @@ def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
         num_particles=count,
         num_substeps=inner.num_substeps,
         num_envs=agent_config.num_envs,
-        horizon=steps_in(agent_config, env),
+        horizon=getattr(agent_config, "differentiated_steps", lambda env: steps_in(agent_config, env))(env),
     )
     return f"{text}; about {peak / 1e9:.2g} GB of memory for the gradient"
 

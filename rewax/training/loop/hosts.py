@@ -30,6 +30,8 @@ class Command(enum.IntEnum):
     """Send your shard of the environments."""
     END = 2
     """End."""
+    BACK = 3
+    """Return to the state before the last iteration."""
 
 
 def num_processes(environment: Mapping[str, str] = os.environ) -> int | None:
@@ -100,6 +102,10 @@ class Leader:
         _send(Command.GATHER)
         return _gathered(train_state)
 
+    def back(self) -> None:
+        """The other processes return to the state before the last iteration."""
+        self._tell(Command.BACK)
+
     def end(self) -> None:
         """The other processes end."""
         self._tell(Command.END)
@@ -116,10 +122,14 @@ def received(like: T) -> T | None:
 
 def follow(train_step: Any, train_state: T) -> T:
     """Follow the leader's commands until it sends ``END``."""
+    before = train_state
     while (command := _next_command()) is not Command.END:
         if command is Command.GATHER:
             _gathered(train_state)
+        elif command is Command.BACK:
+            train_state = before
         else:
+            before = train_state
             train_state, _ = train_step(train_state)
     return train_state
 

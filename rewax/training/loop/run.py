@@ -25,7 +25,7 @@ from rewax.training.storage.metrics import CsvWriter, TensorBoardWriter, WandbWr
 from rewax.training.storage.schedule import Schedule, due_rows, lost_rows
 from rewax.types import Key
 
-_REMEDY = "smaller learning rates or rewards, or a smaller max_grad_norm help"
+_REMEDY = "smaller learning rates or rewards, or a smaller max_env_grad_norm or max_grad_norm help"
 
 
 class TrainResult(NamedTuple):
@@ -176,6 +176,8 @@ class Run:
             self.failure = f"iteration {iteration} made {bad} of the training state infinite or NaN: {_REMEDY}"
             if self._consumes:
                 self.train_state = checkpoint.restore(self.run_dir, new)
+            else:
+                self._leader.back()
             return
         self.train_state, self._env_steps = new, env_steps
         if not self.config.over(iteration, env_steps) and (reason := self.watch.reason()):

@@ -19,7 +19,7 @@ from rewax.training.loop.devices import SeedPlacement, seed_placement
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import TrainResult
-from rewax.training.loop.train import FINISHING, meanwhile, prepared, programs_of
+from rewax.training.loop.train import FINISHING, NOTHING_LOST, NOTHING_TRAINED, meanwhile, prepared, programs_of
 from rewax.training.storage.run_directory import full_disk_is_one_sentence, hold
 
 
@@ -57,7 +57,7 @@ def train_seeds(
             )
         )
         stop.before_exit = lambda: [leave_nothing() for leave_nothing in made]
-        stop.at_once = "stopped before the first iteration: nothing was trained"
+        stop.at_once = NOTHING_LOST if configs[0].resume else NOTHING_TRAINED
         where = seed_placement(len(configs), configs[0].devices)
         programs = programs_of(agent, env, configs[0])
         ready = [prepared(agent, env, config, describe, console, programs=programs) for config in configs]

@@ -38,8 +38,8 @@ from rewax.types import Key
 
 _EVALUATION_STREAM = 0x5EED  # folded into the seed: evaluation and training draw different random numbers
 _NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
-_NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
-_NOTHING_LOST = (
+NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
+NOTHING_LOST = (
     "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
 )
 _ANEW = ("env", "scale", "env_kwargs", "agent", "versions")
@@ -99,7 +99,7 @@ def train(
         full_disk_is_one_sentence(Path(config.run_dir), functools.partial(_kept, config.run_dir)),
     ):
         stop.before_exit = leave_nothing
-        stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
+        stop.at_once = NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         programs = programs_of(agent, env, config)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
@@ -110,7 +110,7 @@ def train(
                 train_step = compile_train_step(agent, train_state, console, where, begin)
         if agent.consumes:
             programs.wait()  # the first iteration consumes the state that they are compiled with
-        stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
+        stop.at_once = NOTHING_LOST if config.resume else NOTHING_TRAINED
         run = open_run()
         append_lowering(config.run_dir, decisions)
         try:

@@ -12,7 +12,7 @@ from rewax.training.storage import checkpoint
 from rewax.training.storage.description import read_config
 from rewax.training.storage.leaves import describe_leaf, from_numpy, named_leaves, to_numpy
 
-_OF_THE_RUN = ("environments", "key", "iteration", "env_steps", "replay", "learning_rate", "variance")
+_OF_THE_RUN = ("environments", "key", "iteration", "env_steps", "replay", "learning_rate", "variance", "horizon")
 """Fields of a training state that are not taken over; states of optimizers are not either."""
 _STATISTICS = ".environments.statistics"
 

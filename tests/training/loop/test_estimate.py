@@ -4,7 +4,7 @@ import pytest
 import toys
 
 import rewax
-from rewax.agents.presets import ppo_preset, sapo_preset
+from rewax.agents.presets import ahac_preset, demonstrated_preset, ppo_preset, sapo_preset
 from rewax.physics import mpm
 from rewax.training.loop.estimate import cost_sentence
 
@@ -20,6 +20,17 @@ def test_a_task_with_particles_has_speed_time_and_memory():
     assert abs(hours - 2 * half_hours) <= 1 and hours > 5
     without = cost_sentence(env, ppo_preset("RollingFlat", "paper"), 4_000_000)
     assert "memory" not in without and float(without.split()[1]) > 4 * float(text.split()[1])
+
+
+def test_the_memory_is_that_of_all_steps_that_are_differentiated_at_once():
+    env = rewax.make("RollingFlat", scale="paper")
+
+    def memory(config):
+        return float(cost_sentence(env, config, 4_000_000).split("; about ")[1].split(" GB")[0])
+
+    sapo = memory(sapo_preset("RollingFlat", "paper"))
+    assert memory(ahac_preset("RollingFlat", "paper")) > 1.2 * sapo  # room for 64 steps instead of 32
+    assert memory(demonstrated_preset("RollingFlat", "paper")) > 3.0 * sapo  # whole episodes of 300 steps
 
 
 def test_other_tasks_are_told_where_to_look():

@@ -9,7 +9,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from rewax.training.loop.hosts import Leader, connect, leads, num_processes
+from rewax.training.loop import hosts
+from rewax.training.loop.hosts import Command, Leader, connect, leads, num_processes
 
 SCRIPT = Path(__file__).with_name("many_hosts.py")
 
@@ -45,8 +46,18 @@ def test_two_processes_train_as_one_does_and_leave_one_run(tmp_path):
 def test_alone_it_leads_and_nothing_is_sent():
     leader, tree = Leader(), {"a": jax.numpy.ones(3)}
     leader.step()
+    leader.back()
     leader.end()
     assert leads() and leader.hand_out(tree) is tree and leader.gathered(tree) is tree
+
+
+def test_the_others_return_to_the_state_before_an_iteration(monkeypatch):
+    commands = iter([Command.STEP, Command.GATHER, Command.STEP, Command.BACK, Command.GATHER, Command.END])
+    sent = []
+    monkeypatch.setattr(hosts, "_next_command", lambda: next(commands))
+    monkeypatch.setattr(hosts, "_gathered", sent.append)
+    assert hosts.follow(lambda state: (state + 1, {}), 0) == 1
+    assert sent == [1, 1]
 
 
 def test_who_the_others_are_has_to_be_said():

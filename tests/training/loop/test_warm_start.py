@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import toys
 
+from rewax.agents.ahac import AHACConfig, make_ahac
 from rewax.agents.ivw import IVWConfig, make_ivw
 from rewax.agents.ppo import make_ppo
 from rewax.agents.sapo import SAPOConfig, make_sapo
@@ -17,6 +18,7 @@ from rewax.envs import registry
 from rewax.training.loop.warm_start import warm_started
 from rewax.training.storage import checkpoint
 
+SIZES = ("num_envs", "critic_passes", "critic_minibatches", "vector_features", "actor_widths", "critic_widths")
 OPTIONS = [*toys.TINY, "--train.no-plots"]
 
 
@@ -96,6 +98,17 @@ def test_another_horizon_than_that_of_the_old_run(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"agent": "sapo_ivw"}))
     warm = warm_started(fresh, tmp_path, "sapo_ivw")
     assert equal(warm.actor_params, then.actor_params) and warm.variance.shape == (3,)
+
+
+def test_an_adaptive_horizon_begins_anew(tmp_path):
+    sizes = {name: value for name, value in dataclasses.asdict(tiny()).items() if name in SIZES}
+    options = {"min_horizon": 2, "initial_horizon": 4, "horizon": 8}
+    agent = make_ahac(toys.point_mass(4), AHACConfig(**{**sizes, **options}))
+    then = agent.init(jax.random.key(0))
+    checkpoint.save(tmp_path, then.replace(horizon=then.horizon - 2.0), keep=1)
+    (tmp_path / "config.json").write_text(json.dumps({"agent": "ahac"}))
+    warm = warm_started(agent.init(jax.random.key(7)), tmp_path, "ahac")
+    assert equal(warm.actor_params, then.actor_params) and float(warm.horizon) == 4.0
 
 
 def test_what_does_not_fit_is_one_sentence(old, tmp_path):
