@@ -39,16 +39,12 @@ def env_arguments(
         env = env or DEFAULT_ENV
         kwargs = recorded.get("env_kwargs") if recorded.get("env") == env else None
         return EnvArguments(env, scale or default_scale(), dict(kwargs) if isinstance(kwargs, Mapping) else {})
-    made_by = read_result(result)["made_by"] or {}
-    same = env in (None, made_by.get("env")) and scale in (None, made_by.get("scale")) and bool(made_by)
-    given = dict(made_by["kwargs"]) if same else {}
+    env, scale, given = _made_by(env, scale, result)
     if "identified" in given:
         raise ValueError(
             f"{result!r} was fitted in an environment that had parameters of another result: name all unknowns in one "
             "fit, or register an environment of your own (--import)"
         )
-    env = str(env or made_by.get("env") or DEFAULT_ENV)
-    scale = str(scale or (made_by.get("scale") if same else None) or default_scale())
     kwargs = {**given, "identified": part_for_environments(result, use)}
     stored = recorded.get("env_kwargs") or {}
     if recorded and {name: value for name, value in stored.items() if name not in _OF_SENSORS} != kwargs:
@@ -56,6 +52,20 @@ def env_arguments(
             f"the run to be resumed has other parameters than {result!r}: leave --env-from out, the run keeps its own"
         )
     return EnvArguments(env, scale, {**kwargs, **stored})
+
+
+def env_and_scale(env: str | None, scale: str | None, result: str) -> tuple[str, str]:
+    """Environment and scale of a run; arguments as for ``env_arguments``."""
+    return _made_by(env, scale, result)[:2] if result else (env or DEFAULT_ENV, scale or default_scale())
+
+
+def _made_by(env: str | None, scale: str | None, result: str) -> tuple[str, str, dict[str, Any]]:
+    """Environment, scale and further arguments of ``rewax.make``: those that a result was fitted with, unless given."""
+    made_by = read_result(result)["made_by"] or {}
+    same = env in (None, made_by.get("env")) and scale in (None, made_by.get("scale")) and bool(made_by)
+    given = dict(made_by["kwargs"]) if same else {}
+    scale = scale or (made_by.get("scale") if same else None) or default_scale()
+    return str(env or made_by.get("env") or DEFAULT_ENV), str(scale), given
 
 
 def sentences(env: Any, told: Mapping[str, Any]) -> list[str]:
@@ -81,4 +91,4 @@ def sentences(env: Any, told: Mapping[str, Any]) -> list[str]:
     return said
 
 
-__all__ = ["DEFAULT_ENV", "EnvArguments", "env_arguments", "sentences"]
+__all__ = ["DEFAULT_ENV", "EnvArguments", "env_and_scale", "env_arguments", "sentences"]

@@ -26,7 +26,7 @@ class Options:
 
     Attributes:
       env: name of the environment, see ``rewax envs``.
-      scale: ``small`` or ``paper``.
+      scale: ``small`` or ``paper``; by default that of the run of ``policy``, else ``small``.
       out: file of the record, .npz.
       action: this action in all steps; one number for each component.
       script: CSV file without a heading, one action in a row, instead of --action.
@@ -43,7 +43,7 @@ class Options:
     """
 
     env: str
-    scale: str = "small"
+    scale: str | None = None
     out: str = "record.npz"
     action: tuple[float, ...] = ()
     script: str | None = None
@@ -77,7 +77,8 @@ def run(argv: Sequence[str]) -> int:
     enable_compilation_cache()
     import_modules(options.imports)
     saved = open_run(options.policy, scale=options.scale) if options.policy else None
-    env = task(options.env, options.scale, options.num_substeps, _sensors(saved))
+    scale = options.scale or (saved.config.get("scale") if saved else None) or "small"
+    env = task(options.env, scale, options.num_substeps, _sensors(saved))
     if not callable(getattr(env, "particles", None)) or not callable(getattr(env, "world", None)):
         raise ValueError(f"{options.env} has no soft body that a camera could see: choose a task on soft bodies")
     check_can_write(options.out)

@@ -18,10 +18,9 @@ from rewax.agents.config import steps_in
 from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
-from rewax.cli.env_from import DEFAULT_ENV, env_arguments, sentences
+from rewax.cli.env_from import env_and_scale, env_arguments, sentences
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.envs.randomize.stored import read_result
-from rewax.envs.registry import default_scale
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
@@ -125,7 +124,7 @@ def _configs(args: Any, first: Any, scale: str, num_iterations: int, num_steps: 
             **report,
             num_iterations=num_iterations,
             num_steps=num_steps,
-            run_dir=_run_dir(args, first, scale, seed),
+            run_dir=_run_dir(args, first.env, first.algo, scale, seed),
             seed=seed,
             resume=args.resume,
             init_from=args.init_from,
@@ -135,12 +134,11 @@ def _configs(args: Any, first: Any, scale: str, num_iterations: int, num_steps: 
     ]
 
 
-def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
+def _run_dir(args: Any, env: str, algo: str, scale: str, seed: int) -> str:
     """Directory of a seed's run; its name has the algorithm unless that is SAPO."""
     if args.run_dir:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
-    algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
-    return f"runs/{first.env or DEFAULT_ENV}-{scale}{algorithm_name}-{seed}"
+    return f"runs/{env}-{scale}{'' if algo == 'sapo' else f'-{algo}'}-{seed}"
 
 
 def cores_as_devices(num_devices: int = 0) -> None:
@@ -237,7 +235,8 @@ def _recorded(first: Any) -> dict[str, Any]:
         return {}
     if first.run_dir and not os.path.isdir(first.run_dir):
         raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
-    return read_config(_run_dir(first, first, first.scale or default_scale(), first.seed))
+    env, scale = env_and_scale(first.env, first.scale, first.env_from)
+    return read_config(_run_dir(first, env, first.algo, scale, first.seed))
 
 
 def _options(first: Any, scale: str, agent_config: Any) -> type:

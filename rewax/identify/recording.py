@@ -97,7 +97,9 @@ def record_states(
     *_, noise_key, hide_key = jax.random.split(key, 4)
     up = np.asarray(env.up)
     camera = camera_for(np.asarray(points_of(env, states[0])), up) if camera is None else camera
-    camera = camera.replace(noise=DepthNoise(constant=noise))
+    if noise > 0.0 and camera.noise is not None:
+        raise ValueError(f"noise is {noise}, and the camera has noise of its own: give one of them")
+    camera = camera.replace(noise=DepthNoise(constant=noise)) if noise > 0.0 else camera
     names = env.world(states[0], up).names
     body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *_robot(env))]
     frames = list(range(0, len(actions) + 1, every))

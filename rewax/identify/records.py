@@ -24,7 +24,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.sensors.camera import Camera
+from rewax.sensors.camera import ZOOM, Camera
 from rewax.whole_files import replacing
 
 VERSION = 1
@@ -115,9 +115,10 @@ def load(path: str | Path) -> Record:
 def camera_numbers(camera: Camera) -> np.ndarray:
     """The numbers of a camera as a record holds them, shape (15,)."""
     rotation = np.asarray(camera.rotation, float).reshape(-1)
-    return np.concatenate(
-        [np.asarray(camera.position, float), rotation, [camera.field_of_view, camera.height, camera.width]]
-    )
+    angle = camera.field_of_view
+    if camera.zoom is not None:  # a record holds the angle that is seen
+        angle = np.degrees(2.0 * np.arctan(np.tan(np.radians(angle) / 2.0) / np.clip(camera.zoom, *ZOOM)))
+    return np.concatenate([np.asarray(camera.position, float), rotation, [angle, camera.height, camera.width]])
 
 
 def camera_of(numbers: np.ndarray, **fields: Any) -> Camera:

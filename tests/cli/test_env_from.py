@@ -13,7 +13,8 @@ from toys import make_configured as make
 import rewax
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
-from rewax.cli.env_from import env_arguments, sentences
+from rewax.cli import env_from
+from rewax.cli.env_from import env_and_scale, env_arguments, sentences
 from rewax.cli.main import main as command
 from rewax.envs import registry
 from rewax.envs.randomize.stored import FORMAT
@@ -92,6 +93,16 @@ def test_seeds_side_by_side_and_directories_by_default_keep_their_parameters(tra
     assert code == 0 and "toy on PointMass, seed 1" in text
     code, text = train("--env-from", path, "--seed=1", "--run-dir=", "--steps=24", "--resume")
     assert code == 2 and "the run to be resumed has other parameters than" in text  # its directory was found
+
+
+def test_the_run_to_be_resumed_is_that_of_the_results_environment_and_scale(tmp_path, monkeypatch):
+    path = result(tmp_path / "push.json")
+    monkeypatch.setattr(env_from, "default_scale", lambda: "paper")  # as on a GPU
+    assert env_and_scale(None, None, path) == ("PointMass", "small") == env_arguments(None, None, path, "draws", {})[:2]
+    assert env_and_scale(None, "paper", path) == ("PointMass", "paper")
+    assert (
+        env_and_scale("Hopper", None, path) == ("Hopper", "paper") and env_and_scale("Hopper", None, "")[1] == "paper"
+    )
 
 
 def test_another_environment_takes_the_parameters_and_its_own_arguments(train, tmp_path, monkeypatch):

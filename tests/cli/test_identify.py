@@ -130,10 +130,13 @@ def test_a_policy_that_sees_and_remembers_moves_the_tool(tmp_path, monkeypatch, 
     monkeypatch.setitem(registry._FACTORIES, "Ball", lambda scale: Ball(gain=jnp.float32(0.5)))
     env = rewax.make("Ball", scale="small", sensors=("camera",), resolution=8)
     agent = memory_toys.agent("apg", env, observe=("camera",), picture_widths=(2,), picture_features=2)
-    run = SavedRun(env, agent, agent.init(jax.random.key(0)), {"env_kwargs": env.made_by["kwargs"]})
-    monkeypatch.setattr(policies, "open_run", lambda *args, **kwargs: run)
+    run = SavedRun(env, agent, agent.init(jax.random.key(0)), {"env_kwargs": env.made_by["kwargs"], "scale": "small"})
+    asked = []
+    monkeypatch.setattr(policies, "open_run", lambda *args, scale: (asked.append(scale), run)[1])
     command = ["record", "--env=Ball", "--policy=run", "--steps=2", "--out", str(tmp_path / "a.npz")]
-    assert main(command) == 0, capsys.readouterr().err
+    assert main(command) == 0 and asked == [None], (
+        capsys.readouterr().err
+    )  # the run's own scale, which is then the task's
     found, state, memory = load(tmp_path / "a.npz").actions, env.reset(jax.random.split(jax.random.key(0), 4)[0]), None
     for action in found:
         expected, memory = run.act(state.obs, memory=memory)

@@ -1,14 +1,17 @@
 """Records of a task: what the camera sees is the body's surface, with the asked noise and occlusion; files keep all."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rewax
 from rewax.identify import load, record, record_states, save
 from rewax.identify.recording import camera_for
-from rewax.identify.records import camera_of
+from rewax.identify.records import camera_numbers, camera_of
 from rewax.identify.simulate import regions, without_reset_noise
+from rewax.sensors import Camera
+from rewax.sensors.noise import DepthNoise
 
 ACTIONS = np.tile(np.float32([0.3, -1.0, 0.0]), (3, 1))
 
@@ -42,6 +45,19 @@ def test_noise_has_its_size_and_occlusion_hides_its_share(env, seen):
     difference = noisy.clouds[0][noisy.mask[0]] - whole.clouds[0][whole.mask[0]]
     along = difference @ np.asarray(camera.rotation)[:, 2]
     assert along.std() == pytest.approx(0.002, rel=0.1)
+    grainy = camera.replace(noise=DepthNoise(constant=0.002))  # noise of the camera itself
+    own = record(env, ACTIONS[:1], jax.random.key(0), camera=grainy, num_points=4096)
+    np.testing.assert_array_equal(own.clouds, noisy.clouds)
+    with pytest.raises(ValueError, match=r"noise is 0.002, and the camera has noise of its own: give one of them"):
+        record(env, ACTIONS[:1], jax.random.key(0), noise=0.002, camera=grainy)
+
+
+def test_a_record_keeps_what_a_zoomed_camera_sees():
+    camera = Camera.look_at((0.0, 0.0, 0.0), eye=(0.0, 0.6, 0.6), height=8, width=12).replace(zoom=jnp.float32(1.3))
+    depth = jnp.full((8, 12), 1.0)
+    found = camera_of(camera_numbers(camera)).points(depth)
+    np.testing.assert_allclose(found, camera.points(depth), atol=1e-6)
+    assert np.abs(found - camera.replace(zoom=None).points(depth)).max() > 0.05
 
 
 def test_a_record_is_the_same_every_time_and_survives_its_file(env, seen, tmp_path):

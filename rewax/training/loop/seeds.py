@@ -92,8 +92,9 @@ def train_seeds(
                     if not run.over:
                         run.take(state, {name: values[i] for name, values in metrics.items()}, seconds)
         finally:
-            for run in runs:
-                run.end()
+            with contextlib.ExitStack() as ending:  # each is ended, even if another one cannot be written
+                for run in runs:
+                    ending.callback(run.end)
         stop.at_once, stop.notice = "", FINISHING
         return [run.finish(stop) for run in runs]
 

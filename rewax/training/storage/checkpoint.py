@@ -198,12 +198,17 @@ def _newest(
         except DamagedCheckpoint as error:
             damaged[candidate] = error
             continue
+        there = steps(run_dir)  # a process that trains may have removed old ones meanwhile
         for other, error in damaged.items():
+            if other not in there:
+                continue
             kept = ""
             if set_aside:
                 kept = f"; it is kept as {_set_aside(run_dir / 'checkpoints' / str(other), 'damaged').name}"
             notify(f"warning: {error}: using the one of iteration {candidate} before it{kept}")
         return restored
+    if step is None and steps(run_dir) != found:
+        return _newest(run_dir, read, None, set_aside, notify)
     newest = next(iter(damaged.values()))
     raise DamagedCheckpoint(f"{newest}: choose another one, or start the run afresh in another directory")
 

@@ -130,7 +130,9 @@ def _claim(suite: Suite, out_dir: Path) -> None:
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
         stored = {"env_options": {}, **json.loads(path.read_text())} if path.is_file() else options
-        path.write_text(json.dumps(options if stored == options else stored, indent=1) + "\n")
+        if not path.is_file():
+            with replacing(path) as unfinished:
+                unfinished.write_text(json.dumps(options, indent=1) + "\n")
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{out_dir} cannot hold results ({error}): choose another directory (--out)") from None
     if stored != options:

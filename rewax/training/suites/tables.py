@@ -103,6 +103,8 @@ def write_results(
 ) -> list[str]:
     """Write ``results.csv``, ``curves.csv``, ``table.md`` and one ``<task>.png`` per task.
 
+    Both CSV files keep the runs of other tasks, algorithms and seeds that they hold: the suite may have been larger.
+
     Args:
       suite: the suite that was run.
       rows: the result of ``runs.rows``.
@@ -114,12 +116,16 @@ def write_results(
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     pictures = suite.tasks if pictures is None else pictures
-    curves = _curves(rows, out_dir)
-    texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
+    ours = {_run(row) for row in rows}
+    everything = [*rows, *(row for run, row in read_results(out_dir).items() if run not in ours)]
+    curves = _curves(everything, out_dir)
+    texts = {"results.csv": results_csv(everything), "curves.csv": _curves_csv(curves)}
+    texts["table.md"] = markdown(suite, rows)
     for name, text in texts.items():
         with replacing(out_dir / name) as unfinished:
             unfinished.write_text(text)
-    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, pictures, rows, curves, out_dir)
+    drawn = {run: curve for run, curve in curves.items() if run in ours}
+    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, pictures, rows, drawn, out_dir)
 
 
 def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
@@ -129,7 +135,11 @@ def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
         read = [_typed(row) for row in csv.DictReader(lines)]
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
-    return {(row["task"], row["algorithm"], row["seed"]): row for row in read if row}
+    return {_run(row): row for row in read if row}
+
+
+def _run(row: dict[str, Any]) -> Run:
+    return row["task"], row["algorithm"], row["seed"]
 
 
 def _typed(row: dict[str, Any]) -> dict[str, Any]:
@@ -160,7 +170,7 @@ def _curves(rows: Sequence[dict[str, Any]], out_dir: Path) -> dict[Run, Curve]:
     """Learning curves of finished runs, from their directories, or from ``curves.csv`` if a directory was removed."""
     kept, curves = _read_curves(out_dir / "curves.csv"), {}
     for row in rows:
-        run = (row["task"], row["algorithm"], row["seed"])
+        run = _run(row)
         if "env_steps" in row:
             curve = learning_curve(read_csv(out_dir.joinpath("runs", *map(str, run)) / "metrics.csv"))
             curves[run] = _thinned(curve) if curve.steps.size else kept.get(run, curve)

@@ -3,7 +3,7 @@
 import csv
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,9 +43,11 @@ def write_trials(study: Any, space: Space, out_dir: Path) -> None:
             writer.writerow([trial.number, state, mean, last, *(values.get(name, "") for name in space), failure])
 
 
-def as_command(task: Task, values: Mapping[str, Value]) -> str:
-    """The command ``rewax train`` with these values."""
+def as_command(task: Task, values: Mapping[str, Value], imports: Sequence[str] = ()) -> str:
+    """The command ``rewax train`` with these values. ``imports`` register the task."""
     argv = ["rewax", "train", "--env", task.env, "--scale", task.scale, "--algo", task.algo]
+    for module in imports:
+        argv += ["--import", module]
     for name, value in values.items():
         flag = f"--{task.algo.replace('_', '-')}.{name.replace('_', '-')}"
         if isinstance(value, bool):

@@ -20,6 +20,7 @@ from rewax.training.storage.run_directory import InUse, hold
 from rewax.training.tuning.report import write_trials
 from rewax.training.tuning.space import Space, preset_values
 from rewax.training.tuning.trial import Failed, Task, run_trial
+from rewax.whole_files import replacing
 
 if TYPE_CHECKING:
     import optuna
@@ -114,12 +115,17 @@ def _claim(task: Task, space: Space, out_dir: Path) -> None:
     ours = json.loads(
         json.dumps(plain({"task": task, "space": {name: dict(r._asdict()) for name, r in space.items()}}))
     )
-    stored = json.loads(path.read_text()) if path.is_file() else ours
+    try:
+        stored = json.loads(path.read_text()) if path.is_file() else ours
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} cannot be read ({error}): choose another directory (--out)") from None
     if stored != ours:
         ours, stored = ({**content["task"], "space": content["space"]} for content in (ours, stored))
         odd = next(name for name in ours if stored.get(name) != ours[name])
         raise ValueError(f"{out_dir} holds a search with other {odd}: choose another directory (--out)")
-    path.write_text(json.dumps(ours, indent=1) + "\n")
+    if not path.is_file():
+        with replacing(path) as unfinished:
+            unfinished.write_text(json.dumps(ours, indent=1) + "\n")
 
 
 def _next_trial(study: Any, out_dir: Path, num_trials: int, held: ExitStack) -> Any:

@@ -11,6 +11,7 @@ import toys
 from rich.console import Console
 
 from rewax.training.config import TrainConfig
+from rewax.training.loop.run import Run
 from rewax.training.loop.seeds import train_seeds
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
@@ -71,3 +72,18 @@ def test_a_seed_that_fails_ends_alone(tmp_path):
     assert "made .bias of the training state infinite or NaN" in broken.failure
     assert whole.failure == "" and int(whole.train_state.iteration) == 6
     assert checkpoint.steps(tmp_path / "0") == [0, 3] and checkpoint.steps(tmp_path / "1")[-1] == 6
+
+
+def test_all_seeds_are_saved_though_one_cannot_be(tmp_path, monkeypatch):
+    end, ended = Run.end, []
+
+    def failing(run):
+        ended.append(run.run_dir.name)
+        if run.run_dir.name == "0":
+            raise OSError("the disk of seed 0 is gone")
+        end(run)
+
+    monkeypatch.setattr(Run, "end", failing)
+    with pytest.raises(OSError, match="seed 0 is gone"):
+        train_seeds(AGENT, ENV, configs(tmp_path, (0, 1), checkpoint_every=0), console=console())
+    assert sorted(ended) == ["0", "1"] and checkpoint.latest_step(tmp_path / "1") == 6

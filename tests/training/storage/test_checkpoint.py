@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -214,6 +215,21 @@ def test_damage_falls_back_to_the_checkpoint_before_it(tmp_path):
     assert (tmp_path / "checkpoints" / "2.damaged" / "arrays").is_dir()
     with pytest.raises(ValueError, match="no checkpoint of iteration 3: choose one of 1"):
         checkpoint.restore(tmp_path, states[0], step=3)
+
+
+def test_a_run_that_goes_on_meanwhile_is_not_damaged(tmp_path, monkeypatch):
+    states, _ = three(tmp_path)
+    read, wanted = checkpoint._read, [2, 1]
+
+    def after_the_next_ones(path, like):  # the process that trains keeps one checkpoint, and saves two more first
+        while wanted:
+            checkpoint.save(tmp_path, states[-1].replace(iteration=states[-1].iteration + wanted.pop()), keep=1)
+        return read(path, like)
+
+    monkeypatch.setattr(checkpoint, "_read", after_the_next_ones)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert int(checkpoint.restore(tmp_path, states[0]).iteration) == 5
 
 
 def test_a_changed_letter_in_the_description_is_damage_and_not_another_configuration(tmp_path):

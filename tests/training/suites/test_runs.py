@@ -104,6 +104,14 @@ def test_results_and_curves_outlive_the_directories_of_runs(suite, tmp_path, mon
     for name, text in before.items():
         assert set(text.splitlines()) < set((tmp_path / name).read_text().splitlines())
     assert not (tmp_path / "runs" / "PointMass" / "calm").exists()
+    whole = {name: set((tmp_path / name).read_text().splitlines()) for name in before}
+    claimed = (tmp_path / "suite.json").stat().st_ino
+    smaller = dataclasses.replace(suite, algorithms=("wild",), seeds=(1,))  # as with an edited file
+    assert run(smaller, tmp_path)[0] == 0
+    for name, lines in whole.items():
+        assert set((tmp_path / name).read_text().splitlines()) == lines
+    assert "calm" not in (tmp_path / "table.md").read_text() and (tmp_path / "suite.json").stat().st_ino == claimed
+    assert run(suite, tmp_path)[0] == 0
     (tmp_path / "curves.csv").unlink()
     (tmp_path / "PointMass.png").unlink()
     shutil.rmtree(tmp_path / "runs")
