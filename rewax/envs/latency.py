@@ -9,6 +9,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
 from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, check_observed, count_inside
+from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
@@ -131,9 +132,8 @@ def _drawn(steps: Steps, key: Key) -> Array:
 
 
 def _clipped(action: Array, spec: ArraySpec, dtype: Any) -> Array:
-    """The action within its bounds. On a bound the derivative is 1 here, because ``env`` clips once more."""
-    action = jnp.asarray(action, dtype)
-    return jnp.where(action < spec.low, spec.low, jnp.where(action > spec.high, spec.high, action)).astype(dtype)
+    """The action within its bounds."""
+    return clipped(jnp.asarray(action, dtype), spec.low, spec.high).astype(dtype)
 
 
 def _taken(newest_first: Array, steps: Steps, delay: Array) -> Array:

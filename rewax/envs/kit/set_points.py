@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.thin_task import ThinTask
+from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Key, PyTree, Scalar
 
 
@@ -58,11 +59,11 @@ class Steered(Following):
 
     def begin(self, key: Key) -> tuple[Any, Key]:
         physics, key = super().begin(key)
-        return physics.replace(task=jnp.clip(physics.joint_q, self.joint_lower, self.joint_upper)), key
+        return physics.replace(task=clipped(physics.joint_q, self.joint_lower, self.joint_upper)), key
 
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
-        """Gradient: exact; zero where a limit stops a set point."""
-        return jnp.clip(physics.task + action * self.joint_step, self.joint_lower, self.joint_upper)
+        """Gradient: exact; zero where a limit stops a set point, at the limit itself that of the inside."""
+        return clipped(physics.task + action * self.joint_step, self.joint_lower, self.joint_upper)
 
     def ahead(self, physics: SoftPhysics) -> Array:
         """The set points relative to the joints, shape (num_joints,)."""

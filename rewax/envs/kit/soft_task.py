@@ -23,6 +23,7 @@ from rewax.physics import mpm, tets
 from rewax.physics.contact import WALLS, Patches, Wrench, drawings
 from rewax.physics.mpm import MPMState
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.clipping import clipped
 from rewax.physics.tets import TetScene, TetState
 from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation, PyTree, Vector
@@ -176,12 +177,12 @@ class SoftTask(SoftBodyTask):
         """Moves joints by ``joint_step * action``, clipped to their limits, and the soft bodies with them.
 
         Gradient: exact through the soft bodies; ``exact_limits`` says what it is at limits. An action that pushes a
-          joint against its limit has gradient zero.
+          joint against its limit has gradient zero. Action 0 at the limit has that of an action away from it.
         """
         q = physics.joint_q
         before = q if self.exact_limits else jax.lax.stop_gradient(q)
         motion = action[: self.num_joints] * self.joint_step
-        motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
+        motion = clipped(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         soft, felt, status = self._driven(physics, action, q + fraction[:, None] * motion)
         rate = motion / jnp.where(self.joint_step > 0.0, self.joint_step, 1.0)  # 0: a joint that stands still

@@ -12,6 +12,7 @@ from rewax.envs.kit.checks import check_action, check_key, checked_observation, 
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.task_repr import task_repr
 from rewax.physics.contact import Patches
+from rewax.physics.numerics.clipping import clipped
 from rewax.sensors.camera import Camera
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -136,7 +137,7 @@ class Task(struct.Replaceable):
           ValueError: the action has another shape than ``action_spec``.
         """
         check_action(action, self.action_spec)
-        action = jnp.clip(action, -1.0, 1.0).astype(state.physics.action.dtype)
+        action = clipped(action, -1.0, 1.0).astype(state.physics.action.dtype)
         physics, status = self.advance(state.physics, action)
         reward, metrics = checked_reward(self, self.reward(physics))
         terminated = self.terminated(physics)

@@ -69,8 +69,9 @@ def step(
 
     Returns:
       The soft body, the free bodies, and the mean force and torque of the soft body on every body (free ones first).
-      Only gravity, walls, ground, held vertices, ``wrench`` and prescribed motion change the total linear and angular
-      momentum.
+      Only gravity, walls, ground, held vertices, ``wrench``, prescribed motion and the ``drag`` of cloth change the
+      total linear and angular momentum, and angular momentum also ``DampingLaw.VELOCITY_GRADIENT`` of tetrahedra, and
+      friction between layers of cloth and between cloth and particles.
 
     Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
       ``colliders.apply_collider`` and ``penalty.penalty_force``).

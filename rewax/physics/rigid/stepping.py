@@ -34,7 +34,7 @@ from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, check
 from rewax.physics.rigid.parameter_checks import has_invalid_parameters
 from rewax.physics.rigid.small_products import dot
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
-from rewax.status import Status, flag
+from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
 _MIN_ITERATIONS = 50
@@ -129,7 +129,7 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     """Status bits of a state and of its model.
 
     Args:
-      state: the bodies. A value that is not finite, or whose magnitude is a million or more, sets ``NAN``.
+      state: the bodies. A value that is not finite, or a position or velocity of a million or more, sets ``NAN``.
       model: illegal parameters (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None: do not
         check parameters.
 
@@ -138,7 +138,7 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     """
     check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
     largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
-    status = flag(~(largest < 1e6), Status.NAN)
+    status = flag(~(largest < 1e6) | ~all_finite((state.act, state.qacc)), Status.NAN)
     if model is None:
         return status
     invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
+from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Scalar
 
 
@@ -14,7 +15,7 @@ def locate(x: Array, origin: Scalar, spacing: Scalar, num_nodes: int) -> tuple[A
     """
     cells = (x - origin) / spacing
     end = num_nodes - 1.0
-    within = jnp.where(cells < 0.0, 0.0, jnp.where(cells > end, end, cells))  # at an end the derivative of the inside
+    within = clipped(cells, 0.0, end)
     # The index is clipped again as an integer, so that NaN cannot become an index out of bounds.
     cell = jnp.clip(jnp.floor(within).astype(jnp.int32), 0, num_nodes - 2)
     return cell, within - cell.astype(x.dtype), cells - within

@@ -8,6 +8,7 @@ import numpy as np
 
 from rewax.lowering.kernels import pointwise
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.clipping import clipped
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.thin.grasps import Grasp, Hold
@@ -69,7 +70,7 @@ def followed(
     """
     found = []
     for i, (grasp, hold) in enumerate(zip(scene.grasps, holds, strict=True)):
-        shared = (_numbers(grasp), scene.dt, body_pose(poses, grasp.body), _clipped(grips[i]))
+        shared = (_numbers(grasp), scene.dt, body_pose(poses, grasp.body), clipped(grips[i], 0.0, 1.0))
         found.append(_followed(shared, (hold, _own(grasp, x))))
     return tuple(found)
 
@@ -97,7 +98,7 @@ def pulls(
     """
     found = []
     for i, (grasp, hold, moving) in enumerate(zip(scene.grasps, holds, surface, strict=True)):
-        shared = (_numbers(grasp), scene.dt, body_pose(poses, grasp.body), _clipped(grips[i]))
+        shared = (_numbers(grasp), scene.dt, body_pose(poses, grasp.body), clipped(grips[i], 0.0, 1.0))
         pull = _pull(shared, (hold, _own(grasp, x), _own(grasp, v), _own(grasp, moving)))
         if grasp.vertices is not None:
             at = _stencil(grasp, x[0].shape[-1])
@@ -157,11 +158,6 @@ def _reached(grasp: Grasp, point: Vec3) -> Array:
 def _in_body(x: Vec3, body: Pose) -> Vec3:
     rotation = cp.split_matrix(body.rotation)
     return cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - body.position[i]))
-
-
-def _clipped(grip: Array) -> Array:
-    # Not jnp.clip, which halves the derivative at 0 and 1.
-    return jnp.where(grip < 0.0, 0.0, jnp.where(grip > 1.0, 1.0, grip))
 
 
 def _numbers(grasp: Grasp) -> Grasp:

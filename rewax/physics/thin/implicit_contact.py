@@ -1,8 +1,9 @@
 """Contact in an implicit step of cloth and ropes, with ground, colliders and itself: slope, curvature, blocks.
 
-The normal force depends on the distance d at the end of the step and on its rate (d - d_0) / dt since the beginning, so
-it has a potential. Friction takes the normal force, the normal and the closest points of the beginning. Its force
-depends on the sliding distance u of the step: min(friction_damping |u| / dt, friction f_n) against u.
+The normal force depends on the distance d at the end of the step and on its rate (d - d_0) / dt since the beginning. It
+acts along the gradient of the distance, so it has a potential. Friction takes the normal force, the normal and the
+closest points of the beginning. Its force depends on the sliding distance u of the step:
+min(friction_damping |u| / dt, friction f_n) against u.
 
 Source of the lagged friction: Li et al. 2020, "Incremental potential contact", section 5.
 """
@@ -187,14 +188,21 @@ def _share(contact: PenaltyContact, gap: Array) -> Array:
 
 
 def _at_end(place: Surface, x: Vec3) -> tuple[Array, Vec3]:
-    """Distance and normal of the surface at the end of the step."""
+    """Distance of the surface at the end of the step, and its gradient, so that the force has a potential.
+
+    The normal of an exact shape is this gradient. That of another one has length 1, and its distance may not.
+    """
     if place.collider is None:
         n = _plane_normal(place)
         assert place.plane is not None
         return cp.dot(n, x) - place.plane[1], n
     assert place.poses is not None
-    distance, normal, _ = surface(place.collider, x, place.poses[1])
-    return distance, normal
+    collider, end = place.collider, place.poses[1]
+    if collider.shape.is_exact:
+        distance, normal, _ = surface(collider, x, end)
+        return distance, normal
+    distance, pull = jax.vjp(lambda x: surface(collider, x, end)[0], x)
+    return distance, pull(jnp.ones_like(distance))[0]
 
 
 def _plane_normal(place: Surface) -> Vec3:

@@ -61,6 +61,9 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     soft = jnp.bool_(False)
     if scene.cloth is not None:
         soft = jnp.any(cloth_is_unstable(scene.cloth) | law_does_not_fit(scene.law, scene.cloth))
+    if scene.stepper is not None and scene.contact is not None:
+        # The force would jump, and an implicit step might have no solution.
+        soft |= jnp.any((jnp.asarray(scene.contact.damping) > 0) & ~(jnp.asarray(scene.contact.onset) > 0))
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     missed = jnp.bool_(False)

@@ -82,6 +82,20 @@ def test_set_points_begin_within_their_limits():
     assert np.allclose(env.ahead(env.reset(jax.random.key(0)).physics), [0.0, 0.02])
 
 
+def test_a_set_point_that_stands_at_its_limit_can_leave_it():
+    env = held()
+    physics = env.reset(jax.random.key(0)).physics
+
+    def last(actions):
+        task = env.joint_upper
+        for action in actions:
+            task = env.set_point(physics.replace(task=task), action)
+        return task.sum()
+
+    by_action = jax.grad(last)(jnp.zeros((4, 2)))
+    np.testing.assert_allclose(by_action, np.broadcast_to(env.joint_step, (4, 2)), rtol=1e-6)
+
+
 def test_frozen_limits_are_refused():
     with pytest.raises(ValueError, match="exact_limits is False, but joints that follow set points have no limits"):
         held().replace(exact_limits=False)

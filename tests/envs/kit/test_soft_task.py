@@ -85,6 +85,18 @@ def test_limits_are_frozen_or_exact(exact, slope):
     np.testing.assert_allclose([by_place[0], by_action[0]], [1.0, 0.05], rtol=1e-5)
 
 
+def test_a_joint_that_stands_at_its_limit_can_leave_it():
+    """Actions of zero there have the derivative of actions that move the joint away, in each step."""
+    env = poke()
+    state = env.reset(jax.random.key(0))
+    state = state.replace(physics=state.physics.replace(joint_q=env.joint_upper))
+
+    def last(actions):
+        return jax.lax.scan(lambda s, a: (env.step(s, a), None), state, actions)[0].physics.joint_q[0]
+
+    np.testing.assert_allclose(jax.grad(last)(jnp.zeros((4, 1))), 0.05 * np.ones((4, 1)), rtol=1e-4)
+
+
 @pytest.mark.parametrize("name", ["RollingFlat", "HandFlip", "FluidMove", "HandLift"])
 def test_limits_are_exact_but_for_the_references_tasks(name):
     assert rewax.make(name, scale="small").exact_limits

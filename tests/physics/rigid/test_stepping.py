@@ -211,6 +211,8 @@ def test_status_flags_what_is_not_finite_or_soon_will_be():
     for broken in (
         state.replace(qpos=state.qpos.at[1].set(jnp.nan)),
         state.replace(qvel=state.qvel.at[5].set(jnp.inf)),
+        state.replace(qacc=state.qacc.at[0].set(jnp.nan)),
+        state.replace(act=jnp.array([jnp.inf])),
     ):
         assert int(rigid.check_status(broken)) == Status.NAN
 

@@ -5,6 +5,7 @@ import pytest
 from thin_bodies import LINE, SHEET, cloth_scene, rope_scene
 
 from rewax.physics import thin
+from rewax.physics.contact import PenaltyContact
 from rewax.status import Status
 
 
@@ -23,6 +24,16 @@ def test_a_missed_tolerance_counts_for_implicit_steps_alone(x64):
     assert thin.check_status(cloth_scene(stepper=thin.Implicit(tolerance=1e-3)), state) == Status.UNSOLVED
     assert thin.check_status(cloth_scene(stepper=thin.Implicit(tolerance=3e-3)), state) == 0
     assert thin.check_status(cloth_scene(), state) == 0
+
+
+def test_a_force_that_began_to_jump_is_illegal_for_implicit_steps_alone(x64):
+    state, contact = thin.initial_state(SHEET.vertices), PenaltyContact(stiffness=50.0, depth_damping=1.0)
+    for stepper, status in ((thin.Implicit(), Status.INVALID_PARAMETERS), (None, Status.OK)):
+        scene = cloth_scene(stepper=stepper, contact=contact)
+        assert thin.check_status(scene, state) == 0
+        jumping = scene.replace(contact=contact.replace(damping=jnp.asarray(0.1)))
+        assert thin.check_status(jumping, state) == status
+        assert thin.check_status(jumping.replace(contact=jumping.contact.replace(onset=0.01)), state) == 0
 
 
 def test_a_neo_hookean_material_that_became_anisotropic_is_illegal(x64):
