@@ -25,11 +25,13 @@ class _Form:
       treedef: structure of the environment.
       names: names of its leaves, in order.
       numbers: for each leaf its value if it is a Python number, None if it is an array.
+      spelled: the same with their types, because 1 == 1.0 == True and 0.0 == -0.0.
     """
 
     treedef: Any
     names: tuple[str, ...]
     numbers: tuple[float | None, ...]
+    spelled: tuple[str, ...]
 
 
 @struct.dataclass
@@ -59,7 +61,8 @@ class EnvLeaves(struct.Replaceable):
             for name, number, (_, leaf) in zip(names, numbers, named, strict=True)
             if number is None
         }
-        return cls(arrays=arrays, form=_Form(treedef, names, numbers), axis=axis)
+        spelled = tuple(_spelled(number) for number in numbers)
+        return cls(arrays=arrays, form=_Form(treedef, names, numbers, spelled), axis=axis)
 
     def build(self) -> Any:
         """The environment. Gradient: exact with respect to ``arrays``."""
@@ -104,7 +107,7 @@ def stack(envs: Sequence[Any]) -> Vmap:
         )
 
     def join(*leaves: Any) -> PyTree:
-        if all(is_number(leaf) and leaf == leaves[0] for leaf in leaves):
+        if all(is_number(leaf) and _spelled(leaf) == _spelled(leaves[0]) for leaf in leaves):
             return leaves[0]
         if len({np.shape(leaf) for leaf in leaves}) > 1:
             shapes = [np.shape(leaf) for leaf in leaves]
@@ -112,6 +115,10 @@ def stack(envs: Sequence[Any]) -> Vmap:
         return jnp.stack([jnp.asarray(leaf) for leaf in leaves])
 
     return Vmap(env=jax.tree.map(join, *envs), env_axis=0)
+
+
+def _spelled(number: float | None) -> str:
+    return f"{type(number).__name__} {number!r}"
 
 
 def strongly_typed(leaf: Any) -> Array:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import MEMORY_LEAF, ArraySpec, Env, State, with_observations
-from rewax.envs.wrappers import _Wrapper
+from rewax.envs.wrappers import _Wrapper, check_inside
 from rewax.status import FATAL
 from rewax.types import Array, Key
 
@@ -41,6 +41,9 @@ class Remembering(struct.Replaceable, _Wrapper):
 
     size: int = struct.static_field(default=1)
     start: Array | None = None
+
+    def __post_init__(self) -> None:
+        check_inside(self)
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:

@@ -134,7 +134,7 @@ def _can_feel(bare: Any) -> bool:
 
 def _touch(env: Any, resolution: int) -> Sensor:
     del resolution
-    return touch_everywhere(env)
+    return touch_everywhere(getattr(env, "unwrapped", env))
 
 
 register_sensor("camera", default_camera)

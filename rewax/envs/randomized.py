@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import State
-from rewax.envs.wrappers import _Wrapper, check_inside, is_number
+from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
@@ -20,7 +20,8 @@ makes one from names and distributions."""
 class Randomized(_Wrapper):
     """An environment whose parameters are drawn at each reset and kept until the next one.
 
-    ``State.drawn`` holds the parameters that the hook changed, by name, beside those of a ``Randomized`` inside.
+    ``State.drawn`` holds the parameters that the hook changed, by name, beside those of a ``Randomized`` inside. Around
+    n others, the names begin with the number and a colon, ``"1:.env.gain"``.
 
     Attributes:
       env: the environment that the hook gets at every reset.
@@ -39,10 +40,23 @@ class Randomized(_Wrapper):
         key, draw_key = jax.random.split(key)
         env = self.randomize(draw_key, self.env)
         state = env.reset(key)
-        return state.replace(drawn={**(state.drawn or {}), **_changed(self.env, env)})
+        own = {self._prefix + name: value for name, value in _changed(self.env, env).items()}
+        return state.replace(drawn={**(state.drawn or {}), **own})
 
     def step(self, state: State, action: Array) -> State:
-        return with_parameters(self.env, state.drawn or {}).step(state, action)
+        return self.with_draws(state.drawn or {}).step(state, action)
+
+    def with_draws(self, drawn: dict[str, Array]) -> Any:
+        """``env`` with the parameters that this hook drew. ``drawn`` is that of a state."""
+        prefix = self._prefix
+        own = {name.removeprefix(prefix): value for name, value in drawn.items() if name.startswith(prefix)}
+        return with_parameters(self.env, own)
+
+    @property
+    def _prefix(self) -> str:
+        """What tells the names of this layer from those of the layers inside, which begin elsewhere."""
+        inside = count_inside(self, Randomized)
+        return f"{inside}:" if inside else ""
 
 
 def check_hook(env: Any, randomize: Randomize) -> None:
@@ -90,5 +104,5 @@ def innermost(env: Any, drawn: dict[str, Array]) -> Any:
       drawn: ``State.drawn`` of a state of it.
     """
     while isinstance(env, _Wrapper):
-        env = with_parameters(env.env, drawn) if isinstance(env, Randomized) else env.env
+        env = env.with_draws(drawn) if isinstance(env, Randomized) else env.env
     return getattr(env, "unwrapped", env)

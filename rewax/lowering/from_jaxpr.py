@@ -185,7 +185,10 @@ class _Builder(Operations):
     def cond(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """Computes all branches of a condition and selects one, as ``vmap`` does."""
         known("cond", params, {"branches"})
+        before = len(self.loops)
         branches = [self.run(branch.jaxpr, branch.consts, args[1:]) for branch in params["branches"]]
+        if len(self.loops) > before:  # in a branch that is not chosen it might never end
+            raise UnsupportedError("it has a while loop in a branch of a condition")
         return [select(self, args[0], cases) for cases in zip(*branches, strict=True)]
 
     def reduce(self, params: dict[str, Any], args: list[Values]) -> list[Values]:

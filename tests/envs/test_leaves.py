@@ -40,6 +40,17 @@ def test_other_values_compile_nothing():
     assert end._cache_size() == 1 and one != two
 
 
+def test_equal_numbers_of_other_types_are_other_programs():
+    """1 == 1.0 == True and 0.0 == -0.0, but programs with them differ."""
+    multiply = jax.jit(lambda leaves: jnp.arange(3) * leaves.build()["k"])
+    found = [multiply(EnvLeaves.of({"k": k})).dtype for k in (1, 1.0, True)]
+    assert found == [jnp.int32, jnp.float32, jnp.int32]
+    negative = jax.jit(lambda leaves: jnp.signbit(jnp.float32(leaves.build()["k"])))
+    assert [bool(negative(EnvLeaves.of({"k": k}))) for k in (0.0, -0.0)] == [False, True]
+    assert isinstance(stack([{"k": 1}, {"k": 1}]).env["k"], int)
+    assert stack([{"k": 1}, {"k": 1.0}]).env["k"].shape == (2,)
+
+
 def test_a_batch_is_a_loop():
     envs, keys, action = gains(0.1, 0.5, 1.0), jax.random.split(jax.random.key(1), 3), jnp.full((3, 1), 0.7)
     batch = stack(envs)

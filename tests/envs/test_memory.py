@@ -80,6 +80,11 @@ def test_a_memory_that_is_not_finite_fails_the_step_and_is_named():
     ]
 
 
+def test_an_automatic_reset_inside_is_refused():
+    with pytest.raises(ValueError, match="Remembering is around AutoReset: put AutoReset outside"):
+        remembering(AutoReset(env=toys.point_mass()), SIZE)
+
+
 def test_an_action_without_memory_and_a_taken_name_are_sentences():
     env = remembers()
     with pytest.raises(ValueError, match="but it has a memory of 3: let it return Remembered"):

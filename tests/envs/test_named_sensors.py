@@ -7,6 +7,7 @@ import pytest
 import rewax
 from rewax.envs import named_sensors
 from rewax.envs.named_sensors import default_camera, list_sensors, register_sensor, with_sensors
+from rewax.envs.randomized import Randomized
 from rewax.sensors import Camera, Labels
 from rewax.sensors.framing import carried, framing
 from rewax.testing import check_env
@@ -80,6 +81,8 @@ def test_touch_is_a_sensor_by_name():
     env = rewax.make("Hopper", scale="small", sensors=("touch",))
     felt = jax.jit(env.reset)(KEY).obs["touch"]
     assert felt.shape == env.observation_spec["touch"].shape and not felt.any()
+    varied = Randomized(env=rewax.make("Hopper", scale="small"), randomize=lambda key, env: env)
+    assert with_sensors(varied, ("touch",)).observation_spec["touch"].shape == felt.shape
 
 
 def test_a_runner_carries_its_camera():

@@ -9,7 +9,7 @@ import toys
 from rewax import struct
 from rewax.envs.randomize import Constant, Scale, hook
 from rewax.envs.randomized import Randomized, changed_by
-from rewax.envs.wrappers import AutoReset
+from rewax.envs.wrappers import AutoReset, _Wrapper
 
 
 def draw(key, env):
@@ -84,9 +84,29 @@ def test_draws_inside_draws_all_act_until_the_next_reset():
     outside = Randomized(env=inside, randomize=hook({"env.gain": Scale(Constant(3.0))}))
     state = outside.reset(jax.random.key(0))
     gain = state.drawn[".gain"]
-    assert 0.75 <= gain <= 3.0 and state.drawn[".env.gain"] == 1.5 and gain != 1.5
+    assert 0.75 <= gain <= 3.0 and state.drawn["1:.env.gain"] == 1.5 and gain != 1.5
     moved = outside.step(state, jnp.full(1, 0.1)).physics - state.physics
     np.testing.assert_allclose(moved, 0.1 * gain, rtol=1e-4)
+
+
+@struct.dataclass
+class Louder(_Wrapper):
+    """Actions are multiplied by a number."""
+
+    gain: jax.Array
+
+    def step(self, state, action):
+        return self.env.step(state, self.gain * action)
+
+
+def test_names_of_one_layer_are_not_those_of_another():
+    """``.env.gain`` is another number below the outer layer than below the inner one."""
+    wrapped = Louder(env=Louder(env=toys.point_mass(), gain=jnp.float32(0.25)), gain=jnp.float32(0.5))
+    inside = Randomized(env=wrapped, randomize=hook({"env.env.gain": Constant(0.7)}))
+    outside = Randomized(env=inside, randomize=hook({"env.gain": Constant(3.0)}))
+    state = outside.reset(jax.random.key(0))
+    moved = outside.step(state, jnp.full(1, 0.1)).physics - state.physics
+    np.testing.assert_allclose(moved, 0.1 * 3.0 * 0.25 * 0.7, rtol=1e-5)
 
 
 @struct.dataclass

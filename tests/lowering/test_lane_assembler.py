@@ -179,6 +179,8 @@ def test_what_does_not_change_is_computed_before_the_loop():
     [
         (lambda x: jax.lax.while_loop(lambda s: x < 1.0, lambda s: s + 1.0, x), "a condition that does not change"),
         (lambda x: jax.lax.while_loop(lambda s: jnp.sum(jnp.sort(s)) < 1.0, lambda s: s + 1.0, x + jnp.ones(3)), "sort"),
+        (lambda x: jax.lax.cond(x > 0.0, lambda z: jax.lax.while_loop(lambda s: s < 9.0, lambda s: 2.0 * s, z), jnp.sin, x),
+         "it has a while loop in a branch of a condition"),
     ],
 )  # fmt: skip
 def test_refusals(function, reason):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.envs.base import State
-from rewax.envs.randomized import Randomized, with_parameters
+from rewax.envs.randomized import Randomized
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.sensors.camera import Camera
@@ -104,7 +104,7 @@ def _sensings(env: Any, state: State) -> list[Sensing]:
     found = []
     while env is not None:
         if isinstance(env, Randomized):
-            env = with_parameters(env.env, state.drawn or {})
+            env = env.with_draws(state.drawn or {})
             continue
         if isinstance(env, Sensing):
             found.append(env)
