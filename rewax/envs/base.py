@@ -15,7 +15,7 @@ NO_LEAF = -1
 """The value of ``State.failed_leaf`` after a step that did not fail."""
 SENSOR_LEAF = 2**30
 """The value of ``State.failed_leaf`` after a step in which a sensor of ``Sensing`` observed a non-finite number."""
-MEMORY_LEAF = SENSOR_LEAF + 1
+MEMORY_LEAF = SENSOR_LEAF // 2
 """The value of ``State.failed_leaf`` after a step in which a policy returned a memory that is not finite."""
 _ADDED = {SENSOR_LEAF: "the observation of a sensor", MEMORY_LEAF: "the memory of the policy"}
 
