@@ -44,9 +44,25 @@ def random_box(center: tuple[float, ...], size: tuple[float, ...], num_particles
 def lattice_box(
     center: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, counts: tuple[int, ...]
 ) -> Array:
-    """A lattice of points in a box: centers of ``counts`` equal cells along each axis, shape (prod(counts), 3)."""
-    points = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
-    return jnp.asarray(points.reshape(-1, 3) * np.asarray(size) + np.asarray(center), jnp.result_type(float))
+    """A lattice of points in a box: centers of ``counts`` equal cells along each axis, shape (prod(counts), 3).
+
+    Rows along the last axis follow one another. Each begins at another place and comes back to it, and so do layers. So
+    every n-th point, which a ``PointCloud`` observes, comes from all of the box, even if n is the length of a row.
+    """
+    layers, rows, length = counts
+    z = _cycles(layers * rows, length)
+    y = np.broadcast_to(_cycles(layers, rows).reshape(-1, 1), z.shape)
+    x = np.broadcast_to(np.repeat(np.arange(layers), rows)[:, None], z.shape)
+    cells = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    points = ((cells + 0.5) / np.asarray(counts) - 0.5) * np.asarray(size) + np.asarray(center)
+    return jnp.asarray(points, jnp.result_type(float))
+
+
+def _cycles(number: int, length: int) -> np.ndarray:
+    """0 to ``length`` - 1 in cyclic order from starts that fill the range evenly, shape (number, length)."""
+    golden = (5**0.5 - 1) / 2  # multiples of it, without their whole part, fill the unit interval evenly
+    starts = (np.arange(number) * golden % 1.0 * length).astype(int)
+    return (starts[:, None] + np.arange(length)) % length
 
 
 def box_walls(
