@@ -1,5 +1,6 @@
 """``rewax doctor``: versions, devices and caches, and known problems with them."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import os
@@ -17,6 +18,8 @@ from rewax.jax_versions import numbers
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "distrax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
 _PROBLEMS_FOUND = 1
+_NO_DEVICE = (RuntimeError, AssertionError)
+"""What JAX raises for a platform that it does not know, and for one that has no device here."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +57,7 @@ def run(argv: Sequence[str]) -> int:
         print(f"note: {note}")
     if versions["jax"]:
         import_modules(options.imports)
-    if options.env and versions["jax"]:
+    if options.env and versions["jax"] and _backend():
         print_lowering(options.env, options.scale)
     for problem, remedy in problems:
         print(f"problem: {problem}: {remedy}")
@@ -103,8 +106,8 @@ def _device_problems() -> Iterator[tuple[str, str]]:
 
     try:
         devices = jax.devices()
-    except RuntimeError as error:
-        reason = str(error).strip().splitlines()[0]
+    except _NO_DEVICE as error:
+        reason = (str(error).strip().splitlines() or [f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS', '')}"])[0]
         yield f"JAX finds no device ({reason})", "unset JAX_PLATFORMS, or set it to cpu"
         return
     kinds = sorted({f"{device.platform} ({device.device_kind})" for device in devices})
@@ -115,10 +118,17 @@ def _device_problems() -> Iterator[tuple[str, str]]:
         yield "there is an NVIDIA driver, but JAX computes on the CPU", "pip install 'rewax[cuda]'"
 
 
-def native_problems() -> Iterator[tuple[str, str]]:
-    """Print whether physics runs in C++ on a CPU and where its libraries come from; yield problems with it."""
+def _backend() -> str | None:
+    """The platform on which JAX computes; None: it finds no device."""
     import jax
 
+    with contextlib.suppress(*_NO_DEVICE):
+        return jax.default_backend()
+    return None
+
+
+def native_problems() -> Iterator[tuple[str, str]]:
+    """Print whether physics runs in C++ on a CPU and where its libraries come from; yield problems with it."""
     from rewax.fixed_sources import fixed_sources
     from rewax.lowering import build
 
@@ -134,7 +144,7 @@ def native_problems() -> Iterator[tuple[str, str]]:
     missing = next((reason for library, reason in found if library is None), None)
     if missing is None:
         print(f"physics on a CPU: in C++, {_origin([Path(reason) for _, reason in found])}")
-    if jax.default_backend() != "cpu":
+    if _backend() != "cpu":
         return
     if missing is not None:
         yield (
@@ -159,7 +169,11 @@ def print_lowering(name: str, scale: str) -> None:
     env = build_env(name, scale)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LoweringWarning)  # the list below has these
-        decisions = where_it_runs(env)
+        try:
+            decisions = where_it_runs(env)
+        except ValueError as error:
+            print(f"{name} at scale {scale}: {error}")
+            return
     left = [decision for decision in decisions if decision.reason]
     print(f"{name} at scale {scale}: {len(decisions) - len(left)} rules run in C++, {len(left)} in XLA")
     print(*(f"  {decision}" for decision in decisions), sep="\n")

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering import build, report, stencils
+from rewax.lowering.by_content import ByContent
 from rewax.lowering.ffi_layout import Operand, batch_shape, cpu_rules, operands_of
 from rewax.lowering.kernels import Target, as_arrays, blocks_of, broadcast, common_type, split_sums, target_of
 from rewax.lowering.linear_primitive import Arrays
@@ -39,7 +40,8 @@ def assembled(function: Callable[[Any, Any], tuple[T, ...]]) -> Callable[[Stenci
       elements: the elements, or a list of them. Entries of the list beyond its last element are not read where the
         machine runs. Elsewhere reverse mode reads them, so their results must be zero.
       shared: small arrays and numbers that all elements use. own: arrays (..., num_elements).
-      fields: arrays (num_vertices,). sums: of the form of ``results`` at one corner, arrays (num_vertices,).
+      fields: floating-point arrays (num_vertices,). sums: of the form of ``results`` at one corner, arrays
+        (num_vertices,).
 
     Gradient: exact, forward and reverse, with respect to ``shared``, ``own`` and ``fields``. No second derivatives in
       the machine.
@@ -61,11 +63,13 @@ def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil 
     def call(elements: Stencil | Listed, shared: Any, own: Any, fields: Any) -> Any:
         listed = isinstance(elements, Listed)
         whole = _whole(function, elements.num_vertices if listed else elements, sums)
-        given = (elements.corners, elements.count) if listed else ()
+        given = tuple(jnp.asarray(a, jnp.int32) for a in (elements.corners, elements.count)) if listed else ()
         if not build.is_available():
             return whole(given, shared, own, fields)
         one_type = common_type(fields)
-        at_vertices = all(jnp.shape(leaf) == (elements.num_vertices,) for leaf in jax.tree.leaves(fields))
+        at_vertices = all(
+            jnp.shape(a) == (elements.num_vertices,) and jnp.result_type(a) == one_type for a in jax.tree.leaves(fields)
+        )
         if (
             one_type is None
             or not at_vertices
@@ -91,10 +95,11 @@ def _fit(own: Any, dtype: Any, count: int) -> bool:
     return all(jnp.ndim(a) and a.shape[-1] == count for a in leaves) and floats <= {dtype}
 
 
-class _Whole:
+class _Whole(ByContent):
     """The function from arrays over vertices to sums, in JAX."""
 
     def __init__(self, function: Callable[[Any, Any], Any], static: Stencil | int, sums: bool) -> None:
+        super().__init__(function, static, sums)
         self.function, self.static, self.sums = function, static, sums
         functools.update_wrapper(self, function)
 

@@ -13,6 +13,7 @@ import os
 import platform
 import shlex
 import threading
+import warnings
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import jax
 
 from rewax.lowering import compiler as compilers
-from rewax.lowering import library_cache, shipped
+from rewax.lowering import library_cache, report, shipped
 from rewax.lowering.portability import is_portable
 
 THREADS = Path(__file__).with_name("threads.h")
@@ -85,6 +86,16 @@ def register(source: Source, symbols: tuple[str, ...]) -> bool:
     return True
 
 
+def is_usable(source: Source, symbols: tuple[str, ...], name: str) -> bool:
+    """Whether C++ is on and ``register`` succeeds; if only that fails, the module ``name`` is reported as in XLA."""
+    if is_off():
+        return False
+    registered = register(source, symbols)
+    if not registered:
+        report.note(name, "value", load(source).reason)
+    return registered
+
+
 @functools.cache
 def load(source: Source) -> Loaded:
     """The library of a C++ program: shipped, cached, or built now.
@@ -146,8 +157,26 @@ def no_compiler() -> str:
 
 
 def is_available() -> bool:
-    """Whether the C++ programs of ``rewax.fixed_sources`` can run: shipped or built."""
-    return not is_off() and (compiler() is not None or (_may_be_shipped() and bool(shipped.folders())))
+    """Whether C++ is wanted, and there is a compiler or libraries that came with rewax. Else warns once on a CPU.
+
+    A compiler may fail all the same: ``machine.why_in_xla`` tries it.
+    """
+    if is_off():
+        return False
+    found = compiler() is not None or (_may_be_shipped() and bool(shipped.folders()))
+    if not found and jax.default_backend() == "cpu":
+        _warn_of_none()
+    return found
+
+
+@functools.cache
+def _warn_of_none() -> None:
+    """Warns once per process that everything runs in XLA."""
+    warnings.warn(
+        f"physics runs in XLA, 2 to 8 times slower than in C++: {no_compiler()}; install g++ or clang++, or set CXX",
+        report.LoweringWarning,
+        stacklevel=3,
+    )
 
 
 def _may_be_shipped() -> bool:

@@ -31,6 +31,7 @@ from jax.extend import linear_util
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from rewax.lowering.assembler import BlockBytecode
+from rewax.lowering.by_content import ByContent
 from rewax.lowering.lane_assembler import Bytecode
 from rewax.lowering.operations import UnsupportedError
 from rewax.whole_files import replacing
@@ -284,10 +285,14 @@ class _Hasher:
         line(f"instance {self.named(kind)}")
         if kind.__name__ in ("Store", "EqualStore"):
             return  # where JAX's transformations leave the structure of results
-        if isinstance(value, (jax.custom_jvp, jax.custom_vjp)) or kind.__name__ == "Unhashable":
+        if isinstance(value, ByContent):
+            inside: Any = value.content
+        elif isinstance(value, (jax.custom_jvp, jax.custom_vjp)) or kind.__name__ == "Unhashable":
             inside = vars(value) if hasattr(value, "__dict__") else value.val
         elif dataclasses.is_dataclass(value):
             inside = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+        elif kind.__module__.startswith("rewax."):
+            raise _UnknownError(kind)  # what it prints, or the function that it wraps, may not say all
         elif hasattr(value, "__wrapped__"):  # a jitted function
             inside = value.__wrapped__
         else:

@@ -53,7 +53,9 @@ def _stored(tree: T, store: ByPlatform, num_once: int | None = None) -> T:
 
 def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arrays:
     del static, residuals
-    some = next((a for a in arrays if a.size), None)
+    stored = [k for k, a in enumerate(arrays) if a.dtype != jax.dtypes.float0]  # derivatives of integers
+    inside = tuple(arrays[k] for k in stored)
+    some = next((a for a in inside if a.size), None)
     if some is None:
         return arrays
     first = jax.lax.slice(some.reshape(-1), (0,), (1,))[0]
@@ -61,10 +63,11 @@ def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arra
     more, out = jax.lax.while_loop(
         lambda carry: carry[0],
         lambda carry: (jnp.zeros_like(carry[0]), _otherwise(carry[1])),
-        (never, arrays),
+        (never, inside),
     )
     del more
-    return out
+    found = dict(zip(stored, out, strict=True))
+    return tuple(found.get(k, a) for k, a in enumerate(arrays))
 
 
 def _otherwise(arrays: Arrays) -> Arrays:

@@ -171,6 +171,12 @@ def register(chosen: Machine) -> bool:
     return build.register(source, tuple(handlers))
 
 
+def why_in_xla() -> str | None:
+    """The reason why all programs for a CPU are left to XLA; None: C++ runs. Builds the machine if need be."""
+    library, reason = build.load(machine(np.dtype("float32")).source)
+    return None if library is not None else reason
+
+
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
     """Loads bytecode into the machine.
 

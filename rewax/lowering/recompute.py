@@ -117,10 +117,20 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
     # Python numbers stay Python numbers: as arrays they would take part in type promotion.
     # Type and repr are part of the key: 1, 1.0 and True are equal, as are 0.0 and -0.0, but give different programs.
     constants = tuple(
-        (type(leaf), leaf, repr(leaf)) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves
+        (type(leaf), _one_nan(leaf), repr(leaf)) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves
     )
     arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
     return arrays, treedef, constants
+
+
+def _one_nan(number: Any) -> Any:
+    """The same number, with one object for every NaN of a type: only with itself does a NaN compare equal in a key."""
+    return _nan(type(number)) if number != number else number
+
+
+@functools.cache
+def _nan(kind: type) -> Any:
+    return kind("nan")
 
 
 class _Epoch:

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.by_content import ByContent
 from rewax.lowering.linear_primitive import Arrays, linear_call
 from rewax.types import Array
 
 
-class Stencil:
+class Stencil(ByContent):
     """Vertex indices of elements of one kind; hashable, so that it can be a static field.
 
     Attributes:
@@ -23,8 +24,7 @@ class Stencil:
         self.indices = np.array(indices, np.int32)
         self.indices.setflags(write=False)
         self.num_vertices = num_vertices
-        self._key = (self.indices.tobytes(), self.indices.shape, num_vertices)
-        self._hash = hash(self._key)
+        super().__init__(self.indices.tobytes(), self.indices.shape, num_vertices)
 
     @functools.cached_property
     def entries(self) -> tuple[np.ndarray, np.ndarray]:
@@ -38,12 +38,6 @@ class Stencil:
         counts = np.bincount(flat, minlength=self.num_vertices)
         starts = np.concatenate([[0], np.cumsum(counts)])
         return starts.astype(np.int32), np.argsort(flat, kind="stable").astype(np.int32)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Stencil) and self._hash == other._hash and self._key == other._key)
 
     def __len__(self) -> int:
         return len(self.indices)

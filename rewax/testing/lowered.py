@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.envs.leaves import EnvLeaves
+from rewax.lowering import machine
 from rewax.lowering.report import Decision, recorded
 from rewax.types import Array
 
@@ -23,9 +24,16 @@ def where_it_runs(env: Env) -> list[Decision]:
     Returns:
       One decision for each function, program (value, jvp, vjp) and reason, sorted. ``reason`` is None in C++.
 
+    Raises:
+      ValueError: JAX does not compute on a CPU, or C++ is switched off or cannot be built.
+
     Example:
       >>> assert not [decision for decision in where_it_runs(env) if decision.reason]
     """
+    if jax.default_backend() != "cpu":
+        raise ValueError(f"JAX computes on a {jax.default_backend()}, and C++ is for a CPU: set JAX_PLATFORMS=cpu")
+    if (reason := machine.why_in_xla()) is not None:
+        raise ValueError(f"all functions run in XLA ({reason}): rewax doctor says what to do")
     leaves = EnvLeaves.of(env)
     state = jax.eval_shape(lambda leaves, key: leaves.build().reset(key), leaves, jax.random.key(0))
     action = jax.ShapeDtypeStruct(env.action_spec.shape, jnp.result_type(float))

@@ -159,3 +159,25 @@ def test_a_missing_compiler_is_a_problem(monkeypatch, native):
     monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "there is no C++ compiler"))
     ((problem, remedy),) = doctor.native_problems()
     assert "(there is no C++ compiler)" in problem and "install a C++ compiler" in remedy
+
+
+@pytest.mark.parametrize("error", [AssertionError(), RuntimeError("Unable to initialize backend 'cup'\nmore")])
+def test_without_a_device_it_goes_on(error, monkeypatch, capsys, native):
+    def no_device():
+        raise error
+
+    monkeypatch.setenv("JAX_PLATFORMS", "cup")
+    monkeypatch.setattr("jax.devices", no_device)
+    monkeypatch.setattr("jax.default_backend", no_device)
+    ((problem, remedy),) = doctor._device_problems()
+    assert problem.startswith("JAX finds no device (") and "cup" in problem and "more" not in problem
+    assert "set it to cpu" in remedy
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "there is no C++ compiler"))
+    assert not list(doctor.native_problems()) and doctor._backend() is None
+
+
+def test_where_nothing_runs_in_cpp_no_function_is_said_to(monkeypatch, capsys):
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "there is no C++ compiler"))
+    doctor.print_lowering("CartpoleSwingUp", "small")
+    said = capsys.readouterr().out
+    assert "all functions run in XLA (there is no C++ compiler)" in said and "C++, 0" not in said

@@ -8,6 +8,7 @@ from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import assembled as module
 from rewax.lowering.assembled import assembled, at_elements
+from rewax.lowering.report import recorded
 from rewax.lowering.stencils import Listed, Stencil
 
 VERTICES, CORNERS = 23, 3
@@ -200,3 +201,23 @@ def test_without_cpp_the_numbers_are_the_same(x64, monkeypatch, random_like, rel
     given = (elements(50), *arguments(50), random_like)
     monkeypatch.setenv("REWAX_NATIVE", "0")
     assert relative_error(everything(FAST, *given), everything(plain, *given)) < 1e-12
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("kind", [np.int32, bool])
+def test_fields_that_are_no_floats_are_left_to_jax(kind, x64):
+    """The machine would read them as floats."""
+    of, x = elements(5), jnp.linspace(0.5, 1.5, VERTICES)
+    weights = jnp.arange(VERTICES).astype(kind)
+    weighted = at_elements(lambda shared, given: given[1][0]["x"] * given[1][1]["k"])
+    with recorded() as decisions:
+        found = weighted(of, (), (), {"x": x, "k": weights})
+    np.testing.assert_allclose(found, x[of.indices[:, 0]] * weights[of.indices[:, 1]])
+    assert ["one floating type" in d.reason for d in decisions] == [True]
+
+
+@NEEDS_COMPILER
+def test_a_list_of_long_integers_is_read_as_it_is(x64, machine_only):
+    of, (shared, own, fields) = elements(6, listed=4), arguments(6)
+    wide = Listed(of.corners.astype(np.int64), of.count.astype(np.int64), VERTICES)
+    jax.tree.map(np.testing.assert_array_equal, FAST(wide, shared, own, fields), FAST(of, shared, own, fields))

@@ -12,6 +12,7 @@ import jax
 import pytest
 
 from rewax.lowering import build
+from rewax.lowering.report import LoweringWarning
 from rewax.physics.mpm import transfer_cpp
 
 EMPTY = 'extern "C" int one() { return 1; }\n'
@@ -155,7 +156,10 @@ def test_a_user_without_a_name_and_a_home(folder, tmp_path):
 def test_without_a_compiler_the_users_choice_is_named(folder, monkeypatch):
     monkeypatch.setenv("CXX", "/nonexistent")
     assert build.load(written()).reason == "there is no C++ compiler (CXX=/nonexistent)"
-    assert build.compiler() is None and not build.is_available()
+    assert build.compiler() is None
+    build._warn_of_none.cache_clear()
+    with pytest.warns(LoweringWarning, match="physics runs in XLA.*CXX=/nonexistent.*install g"):
+        assert not build.is_available()
 
 
 @needs_compiler

@@ -10,7 +10,9 @@ import pytest
 from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import bytecode_cache, interpreted, kernels, machine, pointwise
+from rewax.lowering.assembled import assembled as assembled_sums
 from rewax.lowering.operations import UnsupportedError
+from rewax.lowering.stencils import Stencil, gather
 
 X = jnp.array([0.3, -0.7, 1.1], jnp.float32)
 
@@ -191,6 +193,29 @@ def test_rules_of_others_are_not_kept(kept, assembled):
 )
 def test_what_is_not_known_has_no_key(value, kept):
     assert key(mixed, value) is None
+
+
+def total(shared, at):
+    del shared
+    return tuple(corner * at[1][0] for corner in at[1])
+
+
+def test_meshes_of_one_size_have_keys_of_their_own(kept, monkeypatch):
+    """They print alike, and their programs differ in nothing that the jaxpr shows."""
+    monkeypatch.setattr(total, "__module__", "rewax.physics.anything")
+    many, meshes = assembled_sums(total), [Stencil(np.array(t), 4) for t in ([[0, 1], [1, 2]], [[2, 3], [3, 0]])]
+    x = jnp.arange(4.0)
+    for function in (lambda mesh, x: gather(mesh, (x,))[0], lambda mesh, x: many(mesh, (), (), x)):
+        first, again, other = (key(functools.partial(function, mesh), x=x) for mesh in (meshes[0], *meshes))
+        assert first is not None and first == again != other
+
+
+def test_an_object_of_the_package_that_does_not_say_its_content_has_no_key(kept):
+    def printed_alike(self):
+        return "Kind()"
+
+    kind = type("Kind", (), {"__repr__": printed_alike, "__module__": "rewax.physics.anything"})
+    assert key(mixed, kind()) is None
 
 
 def test_a_function_that_refers_to_itself_has_a_key(kept):

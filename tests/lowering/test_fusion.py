@@ -124,3 +124,14 @@ def test_empty_arrays_are_handed_on(boundary):
     for tree in ((none, some), (none,), ()):
         jax.tree.map(np.testing.assert_array_equal, jax.jit(boundary)(tree), tree)
     np.testing.assert_array_equal(jax.grad(lambda x: jnp.sum(boundary((none, x))[1] ** 2))(some), 2.0 * some)
+
+
+@pytest.mark.parametrize("boundary", [materialize, compute_once])
+def test_integers_beside_numbers_have_no_derivative(boundary):
+    def inside(x):
+        y, cell = boundary((x * x, jnp.floor(x).astype(jnp.int32)))
+        return (y * cell).sum()
+
+    x = jnp.array([1.5, 2.5])
+    for f in (inside, jax.jit(inside)):
+        np.testing.assert_allclose(jax.grad(f)(x), 2.0 * x * jnp.floor(x))

@@ -123,6 +123,15 @@ def test_zeros_of_both_signs_are_different_programs():
     assert [float(inverse(jnp.float32(1.0), number)) for number in (0.0, -0.0)] == [np.inf, -np.inf]
 
 
+def test_a_number_that_is_nan_is_one_program():
+    traces, counts = [], []
+    scaled = recomputed(lambda x, number: traces.append(1) or x * number)
+    for _ in range(3):
+        assert np.isnan(scaled(jnp.float32(1.0), float("nan")))
+        counts.append(len(traces))
+    assert counts[0] == counts[-1]
+
+
 def test_second_derivatives_are_refused_with_the_reason():
     f = recomputed(jnp.sin)
     with pytest.raises(NotImplementedError, match="second derivatives"):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.by_content import ByContent
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import closest
@@ -24,7 +25,7 @@ EDGES = ((1, 2), (1, 3), (2, 3))
 """Edges of a triangle, as positions in the list of a point and three corners."""
 
 
-class TriangleTree:
+class TriangleTree(ByContent):
     """Triangles, their order in space, and the shares of their edges and corners; hashable, for a static field.
 
     Attributes:
@@ -44,16 +45,7 @@ class TriangleTree:
         centers = np.asarray(vertices, np.float64)[self.triangles].mean(axis=1)
         self.order = tree_order(centers, _ARITY**self.levels)
         self.shares = shares(self.triangles)
-        self._key = (self.triangles.tobytes(), self.num_vertices, self.order.tobytes())
-        self._hash = hash(self._key)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (
-            isinstance(other, TriangleTree) and self._hash == other._hash and self._key == other._key
-        )
+        super().__init__(self.triangles.tobytes(), self.num_vertices, self.order.tobytes())
 
     def __repr__(self) -> str:
         return f"TriangleTree({len(self.triangles)} triangles)"

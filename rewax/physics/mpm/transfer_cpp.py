@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.lowering import build
+from rewax.lowering import build, report
 from rewax.lowering.linear_primitive import Arrays
 from rewax.physics.mpm import transfer_xla_cpu
 from rewax.physics.mpm.transfer_xla_cpu import Layout
 
 SOURCE = build.Source("transfer", build.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
+_NAME = "rewax.physics.mpm.transfer"
 _TARGETS = ("rewax_scatter", "rewax_gather_values", "rewax_scatter_tangent_transpose", "rewax_gather_tangent_transpose")
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
@@ -57,12 +58,15 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 def is_used() -> bool:
     """Whether programs for CPUs use these kernels, which requires that they could be built."""
-    return not build.is_off() and build.register(SOURCE, _TARGETS)
+    return build.is_usable(SOURCE, _TARGETS, _NAME)
 
 
 def _available(*arrays: Arrays) -> bool:
     types = {a.dtype for group in arrays for a in group if jnp.issubdtype(a.dtype, jnp.floating)}
-    return len(types) == 1 and types <= set(_TYPES) and is_used()
+    fits = len(types) == 1 and types <= set(_TYPES)
+    if not fits and not build.is_off():
+        report.note(_NAME, "value", "its arrays are not of one floating type, float32 or float64")
+    return fits and is_used()
 
 
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:

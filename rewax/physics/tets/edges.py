@@ -5,12 +5,13 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.by_content import ByContent
 from rewax.lowering.linear_primitive import Arrays, linear_call
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 
 
-class TetTopology:
+class TetTopology(ByContent):
     """Vertex indices of the tets; hashable, so that it can be a static field.
 
     Attributes:
@@ -22,20 +23,7 @@ class TetTopology:
         self.tets = np.array(tets, np.int32)
         self.tets.setflags(write=False)
         self.num_vertices = num_vertices
-        self._hash = hash((self.tets.tobytes(), num_vertices))
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        if self is other:
-            return True
-        return (
-            isinstance(other, TetTopology)
-            and self._hash == other._hash
-            and self.num_vertices == other.num_vertices
-            and np.array_equal(self.tets, other.tets)
-        )
+        super().__init__(self.tets.tobytes(), num_vertices)
 
     def __repr__(self) -> str:
         return f"TetTopology({len(self.tets)} tets, {self.num_vertices} vertices)"

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rewax.lowering.by_content import ByContent
 from rewax.physics.thin.stencils import Topology
 
 APART = 1.5
@@ -26,7 +27,7 @@ class Kind(NamedTuple):
     """Along the tree, see ``tree_order``."""
 
 
-class ContactElements:
+class ContactElements(ByContent):
     """Elements of self-contact in a scene; hashable, so that it can be a static field.
 
     Attributes:
@@ -61,8 +62,8 @@ class ContactElements:
         shifted = vertices + [10.0 * np.ptp(vertices, axis=0).max(), 0.0, 0.0] * piece[:, None]
         self.orders = tuple(tree_order(shifted[kind].mean(axis=1), _ARITY**self.levels) for kind in kinds)
         self._vertices = np.arange(self.num_vertices, dtype=np.int32)[:, None]
-        self._key = (topology, self.near_triangles.tobytes(), self.near_edges.tobytes(), *map(bytes, self.orders))
-        self._hash = hash(self._key)
+        near = self.near_triangles.tobytes(), self.near_edges.tobytes()
+        super().__init__(topology, *near, *map(bytes, self.orders))
 
     def kinds(self, with_triangles: bool) -> tuple["Kind", "Kind"]:
         """Vertices and triangles, or edges twice."""
@@ -80,14 +81,6 @@ class ContactElements:
     def neighbours(self, with_triangles: bool) -> np.ndarray:
         """``near_triangles`` of vertices, or ``near_edges`` of edges."""
         return self.near_triangles if with_triangles else self.near_edges
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (
-            isinstance(other, ContactElements) and self._hash == other._hash and self._key == other._key
-        )
 
     def __repr__(self) -> str:
         return (

@@ -95,7 +95,7 @@ class _Count(NamedTuple):
 
 def is_used() -> bool:
     """Whether programs for CPUs use these kernels, which requires that they could be built."""
-    return not build.is_off() and build.register(SOURCE, _TARGETS)
+    return build.is_usable(SOURCE, _TARGETS, "rewax.physics.thin.pair_kernels")
 
 
 def _find(query: _Query, residuals: Arrays, linear: Arrays) -> Arrays:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from rewax import xla_options
 from rewax.agents.base import Agent
-from rewax.lowering import build, report
+from rewax.lowering import machine, report
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
 
@@ -90,7 +90,7 @@ def compiler_options(agent: Agent) -> dict[str, Any]:
     """XLA's compiler options for the agent's programs."""
     if not (_wants_quick(agent) and xla_options.has_older_generator()):
         return {}
-    return xla_options.QUICK if build.is_available() else xla_options.QUICK_IN_XLA
+    return xla_options.QUICK if machine.why_in_xla() is None else xla_options.QUICK_IN_XLA
 
 
 def _wants_quick(agent: Agent) -> bool:

@@ -48,12 +48,12 @@ def write_environment(run_dir: str | Path) -> None:
     """
     import jax
 
-    from rewax.lowering import build
+    from rewax.lowering import machine
 
     packages = sorted({f"{d.name}=={d.version}" for d in importlib.metadata.distributions() if d.name}, key=str.lower)
     devices = sorted({device.device_kind for device in jax.devices()})
     head = f"# Python {platform.python_version()}, {platform.platform()}, {len(jax.devices())} x {', '.join(devices)}"
-    cpp = f"# C++ on a CPU: {'on' if build.is_available() else 'off'}"
+    cpp = f"# C++ on a CPU: {'on' if machine.why_in_xla() is None else 'off'}"
     (Path(run_dir) / "environment.txt").write_text("\n".join([head, cpp, *packages]) + "\n")
 
 
@@ -64,11 +64,11 @@ def provenance() -> dict[str, str]:
     """
     import jax
 
-    from rewax.lowering import build
+    from rewax.lowering import machine
 
     kind = jax.devices()[0].device_kind
     processor = f"{os.cpu_count()} x {_processor()}" if kind == "cpu" else kind
-    cpp = "on" if build.is_available() else "off"
+    cpp = "on" if machine.why_in_xla() is None else "off"
     return {"commit": _commit(), "processor": processor, "cpp": cpp, "jax": jax.__version__}
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from rewax import xla_options
 from rewax.agents.config import RunConfig
 from rewax.jax_versions import numbers
-from rewax.lowering import build, report
+from rewax.lowering import machine, report
 from rewax.training.loop.compilation import compile_train_step, compiler_options, no_garbage_collection, programs_kept
 from rewax.training.loop.devices import Placement
 
@@ -36,7 +36,7 @@ def test_quick_programs_compute_the_same():
 
 @pytest.mark.parametrize(("in_cpp", "level"), [(True, 1), (False, 3)])
 def test_loops_that_xla_compiles_itself_are_optimised(in_cpp, level, monkeypatch):
-    monkeypatch.setattr(build, "is_available", lambda: in_cpp)
+    monkeypatch.setattr(machine, "why_in_xla", lambda: None if in_cpp else "there is no C++ compiler")
     if xla_options.has_older_generator():
         assert compiler_options(QUICK)["xla_backend_optimization_level"] == level
 

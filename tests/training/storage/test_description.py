@@ -9,7 +9,7 @@ import jax
 import pytest
 import toys
 
-from rewax.lowering import build
+from rewax.lowering import machine
 from rewax.lowering.report import Decision
 from rewax.training.storage import description
 from rewax.training.storage.description import (
@@ -74,7 +74,7 @@ def test_the_environment_of_a_run_can_be_installed_again(tmp_path):
     write_environment(tmp_path)
     head, cpp, *packages = (tmp_path / "environment.txt").read_text().splitlines()
     assert head.startswith("# Python 3.") and jax.devices()[0].device_kind in head
-    assert cpp == f"# C++ on a CPU: {'on' if build.is_available() else 'off'}"
+    assert cpp == f"# C++ on a CPU: {'on' if machine.why_in_xla() is None else 'off'}"
     assert f"jax=={jax.__version__}" in packages and len(packages) > 10
 
 
