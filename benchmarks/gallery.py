@@ -90,7 +90,8 @@ def earned(rows: list[dict[str, str]]) -> list[str]:
     lines = [
         "Each row shows mean returns of 64 episodes:",
         "",
-        "| seed | sampled | deterministic | succeeded | untrained | no action | random: mean, best of 64 | minutes |",
+        "| seed | sampled | deterministic | succeeded, deterministic | untrained | no action | random: mean, best "
+        "of 64 | minutes |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:

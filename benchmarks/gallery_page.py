@@ -33,9 +33,8 @@ With empty caches the first command takes 12 s on two cores of an EPYC (one run)
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
 The tables show mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is the best of one or two seeds. So its return is not that of [the suite](measured/small_suite.md), which
-compares all algorithms over several seeds. Some tasks
-also have a policy at scale `paper`: `rewax play AntRun --scale paper`.
+Each policy is the best of one to five seeds. So its return is not that of [the suite](measured/small_suite.md), which
+compares all algorithms over several seeds. AntRun also has one at scale `paper`: `rewax play AntRun --scale paper`.
 Pictures and curves come from the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
 In code, `rewax.load_policy("HandFlip")` loads a policy ([trained policies](adapters.md#trained-policies)).
 

@@ -47,6 +47,15 @@ def test_pages_that_code_names_are_there():
     assert len(named) > 10 and not [page for page in named if not (ROOT / page).is_file()]
 
 
+def test_files_that_pages_name_are_there():
+    file = re.compile(r"(?<![\w/.])(?:tests|benchmarks|examples|docs)/[\w/]+\.(?:py|md|sh)\b")
+    top = (ROOT / page for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))
+    named = {
+        (page.name, path) for page in [*(ROOT / "docs").rglob("*.md"), *top] for path in file.findall(page.read_text())
+    }
+    assert len(named) > 100 and not [(page, path) for page, path in named if not (ROOT / path).is_file()]
+
+
 def test_units_page_has_the_right_table():
     up = {"x": 0, "y": 1, "z": 2}
     rows = re.findall(
@@ -105,6 +114,27 @@ def test_the_page_of_a_suite_shows_its_results(suite, page):
         for name, color in zip(read_suite(suite).algorithms, CURVE_COLORS, strict=False):
             distance = np.abs(shades - to_rgb(color)).max(axis=1).min()
             assert name not in drawn or distance < 0.06, (picture.name, name)
+
+
+def test_the_pages_of_tasks_show_their_rows():
+    """``benchmarks/gallery.py`` writes the tables of ``docs/tasks/results.csv``; those of the suite are written by hand."""
+    earned = runpy.run_path(str(ROOT / "benchmarks" / "gallery.py"))["earned"]
+    seeds: dict[str, list[dict[str, str]]] = {}
+    for row in csv.DictReader((ROOT / "docs" / "tasks" / "results.csv").read_text().splitlines()):
+        seeds.setdefault(row["env"], []).append(row)
+    tables = {name: "\n".join(earned(rows)) for name, rows in seeds.items()}
+    thin = list(csv.DictReader((ROOT / "docs" / "suites" / "thin" / "results.csv").read_text().splitlines()))
+    for name in read_suite("thin").tasks:
+        kinds = {(row["algorithm"], row["seed"]): row for row in thin if row["task"] == name}
+        cells = [
+            f"| {seed} | {float(row['sampled']):.1f} | {float(row['deterministic']):.1f} | {float(row['success']):.0%} |"
+            for (algorithm, seed), row in kinds.items()
+            if algorithm == "sapo"
+        ]
+        levels = [f"{float(kinds[level, '0']['sampled']):.1f}" for level in ("no action", "random actions")]
+        tables[name] = "\n".join(f"{cell} {' | '.join(levels)} |" for cell in cells)
+    assert sorted(tables) == ENVS
+    assert not [name for name, table in tables.items() if table not in (ROOT / f"docs/tasks/{name}.md").read_text()]
 
 
 def test_everything_that_the_index_of_formulas_names_is_there():

@@ -1,11 +1,12 @@
 """Pictures that compare: learning curves of several seeds, returns around a policy."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
@@ -14,6 +15,8 @@ from rewax.viz.plots import STYLE, plain
 
 CURVE_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
+_CUT = 2
+"""Share of the lowest points that may be cut off [%]."""
 
 
 def curves_of_seeds(
@@ -25,7 +28,8 @@ def curves_of_seeds(
 ) -> Path:
     """Draw the mean return over seeds against environment steps, and each seed as a thin line.
 
-    Where some seeds have ended, the mean is that of the others.
+    Where some seeds have ended, the mean is that of the others. A few points far below all others are cut off, and the
+    picture says so.
 
     Args:
       runs: by name, each seed's learning curve; those without points are left out.
@@ -52,11 +56,25 @@ def curves_of_seeds(
             axes.axhline(value, color="0.35", ls=style, lw=1.0, label=_shown(name))
         axes.set(title=plain(title), xlabel="environment steps", ylabel="return of training episodes")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        _cut_off_outliers(axes, [curve for seeds in runs.values() for curve in seeds], (levels or {}).values())
         if axes.get_legend_handles_labels()[0]:
             many = len(axes.get_legend_handles_labels()[0]) > 12
             axes.legend(loc="best", fontsize=4 if many else 8, ncols=3 if many else 1, framealpha=0.7)
         figure.savefig(out_png)
     return Path(out_png)
+
+
+def _cut_off_outliers(axes: Axes, curves: Sequence[Curve], levels: Iterable[float]) -> None:
+    """Begin the axis of returns above the lowest 2 % of the points if these would take more than half of it."""
+    points = np.concatenate([np.zeros(0), *(curve.returns for curve in curves)])
+    points = points[np.isfinite(points)]
+    if not points.size:
+        return
+    shown = [np.percentile(points, _CUT), points.max(), *levels]
+    low, high = min(shown), max(shown)
+    if low - points.min() > high - low > 0.0:
+        axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        axes.text(1.0, 1.0, "the lowest points are cut off", transform=axes.transAxes, ha="right", va="bottom", size=6)
 
 
 def mean_curve(curves: Sequence[Curve]) -> Curve:

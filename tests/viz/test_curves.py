@@ -3,9 +3,10 @@
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from rewax.statistics import Curve
-from rewax.viz.curves import curves_of_seeds, landscape_picture, mean_curve
+from rewax.viz.curves import CURVE_COLORS, curves_of_seeds, landscape_picture, mean_curve
 
 
 def curve(offset, n=40):
@@ -18,6 +19,17 @@ def test_curves_are_drawn_for_any_number_of_seeds(tmp_path):
     runs = {"sapo": [curve(0.0), curve(1.0), curve(2.0, 30)], "shac": [curve(3.0), nothing], "never": []}
     path = curves_of_seeds(runs, tmp_path / "a.png", title="Task", levels={"no action": 2.0})
     assert matplotlib.image.imread(path).std() > 0.05
+
+
+@pytest.mark.parametrize(("num_low", "tall"), [(1, True), (10, False)])
+def test_a_few_very_low_points_do_not_flatten_the_curves(tmp_path, num_low, tall):
+    returns = np.where(np.arange(100) < num_low, -200.0, np.linspace(0.0, 1.0, 100))
+    picture = matplotlib.image.imread(
+        curves_of_seeds({"sac": [Curve(np.arange(100.0), returns)]}, tmp_path / "a.png", levels={"no action": -1.0})
+    )
+    right = picture[:, picture.shape[1] // 3 :, :3]
+    num_rows = (np.abs(right - to_rgb(CURVE_COLORS[0])).max(axis=2) < 0.02).any(axis=1).sum()
+    assert (num_rows > 100) == tall
 
 
 def test_the_landscape_is_drawn(tmp_path):
