@@ -30,7 +30,7 @@ from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.registry import make
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.training.evaluation.recording import snapshots
-from rewax.viz.render import last_picture
+from rewax.viz.steady import SteadyPictures
 
 try:
     import gymnasium
@@ -70,7 +70,8 @@ class GymnasiumEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
-        self._state = self._first = state = self._reset(key_from(self.np_random))
+        self._state = state = self._reset(key_from(self.np_random))
+        self._pictures = SteadyPictures(self._size)
         return numpy_observation(state), state_info(state)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -81,13 +82,15 @@ class GymnasiumEnv(gymnasium.Env):
         return numpy_observation(state), float(state.reward), *ends, state_info(state)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """A picture of the present state. The camera also shows the first state, unless it follows what moves."""
+        """A picture of the present state.
+
+        The camera stands still until something leaves its picture, see ``rewax.viz.steady``. Each reset places it anew.
+        """
         if self._record is None:
             return None
         if self._state is None:
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset before render")
-        recording = self._record([self._first.physics, self._state.physics])
-        return last_picture(recording, size=self._size)
+        return self._pictures.draw(self._record([self._state.physics]))
 
 
 class GymnasiumVectorEnv(VectorEnv):

@@ -118,12 +118,13 @@ def _live(options: Options) -> int:
         raise ValueError("a live view shows a run at the scale it trains at: leave out --scale")
     if is_policy(directory):
         raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
+    newest = checkpoint.latest_step(directory)  # read first: the run may write another one from here on
     saved, (name,) = load_run(directory), names_of(options.runs)
     env = as_recorded(saved.env)
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
     viewer = LiveViewer(host=options.host, port=options.port)
     print(f"{viewer.url} shows {directory}; Ctrl-C ends it", flush=True)
-    train_state, newest = saved.train_state, checkpoint.latest_step(directory)
+    train_state = saved.train_state
     try:
         while True:
             iteration = int(train_state.iteration)

@@ -1,4 +1,4 @@
-"""``rewax plot``: learning curves of several runs in one picture, with intervals over seeds."""
+"""``rewax plot``: learning curves of several runs in one picture, the mean over seeds and each seed as a thin line."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -49,6 +49,8 @@ def run(argv: Sequence[str]) -> int:
     for directory, own in zip(options.runs, names_of(options.runs), strict=True):
         name, curve = _curve(Path(directory), own if options.by == "run" else "")
         curves.setdefault(name, []).append(curve)
+        if not curve.steps.size:
+            print(f"note: no episode of {directory} has ended, so it has no curve")
     out.parent.mkdir(parents=True, exist_ok=True)
     print(f"wrote {curves_of_seeds(curves, out, title=options.title)}")
     return 0

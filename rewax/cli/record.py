@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -140,9 +141,13 @@ def _script(options: Options, env: Any, saved: Any) -> Any:
         if not path.is_file():
             raise ValueError(f"there is no script {options.script!r}: give a CSV file with one action in a row")
         try:
-            actions = np.loadtxt(path, delimiter=",", ndmin=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of a file without rows
+                actions = np.loadtxt(path, delimiter=",", ndmin=2)
         except ValueError as error:
             raise ValueError(f"{options.script!r} holds no rows of numbers: {error}") from None
+        if not actions.size:
+            raise ValueError(f"{options.script!r} holds no rows: give one action in a row")
     else:
         actions = np.tile(np.asarray(options.action, float), (options.steps, 1))
     if actions.shape[1] != size:

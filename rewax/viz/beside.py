@@ -1,6 +1,7 @@
-"""What cameras show beside the scene: a pane at the right of each picture of a video."""
+"""What cameras show beside the scene: panes at the right of each picture of a video."""
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -11,17 +12,16 @@ from rewax.viz.seen import NOTHING, Seen
 _CAPTION, _FOOT, _GAP = 20, 30, 8
 _INK = (29, 39, 51)
 _MOST = 3
-"""So many pictures fit below each other."""
+"""So many pictures fit below each other; more of them stand in several panes."""
 
 
 def pane_width(recording: Recording, height: int) -> int:
-    """Width of the pane for a video of this height [pixels], an even number; 0 where nothing is seen."""
-    shown = recording.seen[:_MOST]
-    return max((_size(seen, height, len(shown))[1] for seen in shown), default=-2 * _GAP) + 2 * _GAP
+    """Width of all panes for a video of this height [pixels], an even number; 0 where nothing is seen."""
+    return sum(_width(shown, height) for shown in _panes(recording))
 
 
 def beside(recording: Recording, frames: Iterable[np.ndarray], height: int) -> Iterator[np.ndarray]:
-    """The frames with the pane of the cameras at their right.
+    """The frames with what all cameras show at their right, in panes of at most three pictures.
 
     Args:
       recording: the frames are its frames.
@@ -31,9 +31,22 @@ def beside(recording: Recording, frames: Iterable[np.ndarray], height: int) -> I
     Returns:
       Pictures of shape (height, width + pane_width(recording, height), 3).
     """
-    width = pane_width(recording, height)
+    panes = _panes(recording)
     for i, frame in enumerate(frames):
-        yield np.concatenate([frame, _pane(recording.seen[:_MOST], i, height, width)], axis=1) if width else frame
+        drawn = [_pane(shown, i, height, _width(shown, height)) for shown in panes]
+        yield np.concatenate([frame, *drawn], axis=1) if drawn else frame
+
+
+def _panes(recording: Recording) -> list[Sequence[Seen]]:
+    """The pictures of each pane: as few panes as there can be, about equally full."""
+    seen = recording.seen
+    count = -(-len(seen) // _MOST)
+    ends = [i * len(seen) // count for i in range(count + 1)] if count else []
+    return [seen[start:end] for start, end in itertools.pairwise(ends)]
+
+
+def _width(shown: Sequence[Seen], height: int) -> int:
+    return max(_size(seen, height, len(shown))[1] for seen in shown) + 2 * _GAP
 
 
 def _size(seen: Seen, height: int, count: int) -> tuple[int, int]:
@@ -44,10 +57,9 @@ def _size(seen: Seen, height: int, count: int) -> tuple[int, int]:
     return max(2, 2 * int(0.5 * factor * rows)), max(2, 2 * int(0.5 * factor * columns))
 
 
-def _pane(shown: Iterable[Seen], frame: int, height: int, width: int) -> np.ndarray:
+def _pane(shown: Sequence[Seen], frame: int, height: int, width: int) -> np.ndarray:
     from PIL import Image, ImageDraw, ImageFont  # matplotlib brings it
 
-    shown = list(shown)
     pane = Image.new("RGB", (width, height), (255, 255, 255))
     pen, font = ImageDraw.Draw(pane), ImageFont.load_default(11)
     for i, seen in enumerate(shown):

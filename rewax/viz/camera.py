@@ -105,16 +105,15 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
       aspect: width of the picture divided by its height.
 
     Raises:
-      ValueError: ``camera`` has an unknown key.
+      ValueError: ``camera`` has an unknown key, a number that is not finite, or a zoom that is not positive.
     """
-    boxes = _boxes(recording)
-    return _frame(recording, boxes, aspect, follow=_follows(recording, boxes))
+    return frame_boxes(recording, boxes_of(recording), aspect)
 
 
 def frame_both(recording: Recording, *, aspect: float = 4 / 3) -> tuple[Framing, Framing, bool]:
     """The camera that follows, the one that stands still, and whether ``frame_recording`` chooses the first."""
-    boxes = _boxes(recording)
-    followed, still = (_frame(recording, boxes, aspect, follow=follow) for follow in (True, False))
+    boxes = boxes_of(recording)
+    followed, still = (frame_boxes(recording, boxes, aspect, follow=follow) for follow in (True, False))
     return followed, still, _follows(recording, boxes)
 
 
@@ -122,10 +121,22 @@ def _options(recording: Recording) -> dict[str, Any]:
     options = {**_DEFAULTS, **recording.camera}
     if unknown := sorted(set(options) - set(_DEFAULTS)):
         raise ValueError(f"camera has an unknown key {unknown[0]!r}: use {', '.join(_DEFAULTS)}")
+    for name in ("azimuth", "elevation", "zoom"):
+        if not _is_finite(options[name]):
+            raise ValueError(f"camera has {name} {options[name]!r}: give a finite number")
+    if float(options["zoom"]) <= 0.0:
+        raise ValueError(f"camera has zoom {options['zoom']}: give a number above 0, 1 fits everything in")
     return options
 
 
-def _boxes(recording: Recording) -> np.ndarray:
+def _is_finite(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value)))
+    except (TypeError, ValueError):
+        return False
+
+
+def boxes_of(recording: Recording) -> np.ndarray:
     """Lower and upper corners of what each frame shows [m], shape (num_frames, 2, 3)."""
     margin = 0.0 if recording.particles is None else 0.5 * float(diameters(recording).max())
     return np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
@@ -140,8 +151,13 @@ def _follows(recording: Recording, boxes: np.ndarray) -> bool:
     return float(np.linalg.norm(np.ptp(boxes.mean(axis=1), axis=0))) > 2.0 * size
 
 
-def _frame(recording: Recording, boxes: np.ndarray, aspect: float, *, follow: bool) -> Framing:
+def frame_boxes(recording: Recording, boxes: np.ndarray, aspect: float, *, follow: bool | None = None) -> Framing:
+    """``frame_recording`` for boxes of other frames than the recording's own, shape (num_frames, 2, 3) [m].
+
+    ``follow`` says whether the camera goes with what moves; None decides as ``frame_recording`` does.
+    """
     options = _options(recording)
+    follow = _follows(recording, boxes) if follow is None else follow
     middles, sizes = boxes.mean(axis=1), boxes[:, 1] - boxes[:, 0]
     if follow:
         targets, radius = _smooth(middles), 0.6 * float(np.linalg.norm(sizes, axis=1).max())
@@ -149,6 +165,7 @@ def _frame(recording: Recording, boxes: np.ndarray, aspect: float, *, follow: bo
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         targets = np.broadcast_to(0.5 * (low + high), middles.shape)
         radius = 0.5 * float(np.linalg.norm(high - low))
+    radius = max(radius, 1e-3)  # a point has none; the grid on the floor needs a scale
     azimuth, elevation = float(options["azimuth"]), float(options["elevation"])
     direction = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
     distance = _fitting_distance(boxes - targets[:, None], direction, aspect) / float(options["zoom"])
@@ -171,14 +188,26 @@ def _fitting_distance(boxes: np.ndarray, camera: Camera, aspect: float) -> float
       camera: gives the directions.
       aspect: width of the picture divided by its height.
     """
-    low, high = boxes[:, 0], boxes[:, 1]
-    picks = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
-    corners = np.concatenate([np.where(pick, high, low) for pick in picks])
+    corners = _corners(boxes)
     tangent = _FILLED * np.tan(np.radians(0.5 * FIELD_OF_VIEW))
     nearness = -(corners @ camera.forward)
     across, upwards = np.abs(corners @ camera.right) / (tangent * aspect), np.abs(corners @ camera.up) / tangent
     reach = float(np.linalg.norm(corners, axis=1).max())
     return max(float((nearness + np.maximum(across, upwards)).max()), 1.5 * reach, 1e-3)
+
+
+def in_picture(framing: Framing, recording: Recording, box: np.ndarray, aspect: float) -> bool:
+    """Whether the camera of the first frame shows a box of shape (1, 2, 3) [m]; ``zoom`` does not matter."""
+    whole = dataclasses.replace(framing, distance=framing.distance * float(_options(recording)["zoom"]))
+    columns, rows, depths = whole.camera(0, np.asarray(recording.up, float)).project(_corners(box), 1, 1)
+    across, upwards = np.abs(columns - 0.5), np.abs(rows - 0.5)
+    return bool(depths.min() > 0.0 and across.max() <= 0.5 * aspect and upwards.max() <= 0.5)
+
+
+def _corners(boxes: np.ndarray) -> np.ndarray:
+    """All corners of boxes of shape (n, 2, 3), shape (8 n, 3)."""
+    picks = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    return np.concatenate([np.where(pick, boxes[:, 1], boxes[:, 0]) for pick in picks])
 
 
 def _box(recording: Recording, frame: int, margin: float) -> tuple[np.ndarray, np.ndarray]:
@@ -216,4 +245,7 @@ def _smooth(path: np.ndarray) -> np.ndarray:
     return (sums[2 * width + 1 :] - sums[: -2 * width - 1]) / (2 * width + 1)
 
 
-__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_both", "frame_recording", "look"]
+__all__ = [
+    "FIELD_OF_VIEW", "Camera", "Framing", "boxes_of", "focal_length", "frame_both", "frame_boxes", "frame_recording",
+    "in_picture", "look",
+]  # fmt: skip

@@ -1,7 +1,7 @@
 """Colours of particles and shapes: by material, or by a number."""
 
 import colorsys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +42,7 @@ def _material_color(name: str) -> tuple[float, float, float]:
     base, _, number = name.rpartition("_")
     if not (base and number.isdecimal()):
         return MATERIALS.get(name, OTHER)
-    hue, lightness, saturation = colorsys.rgb_to_hls(*MATERIALS.get(base, OTHER))
+    hue, lightness, saturation = colorsys.rgb_to_hls(*_material_color(base))
     step = int(number) - 1
     return colorsys.hls_to_rgb((hue + 0.11 * step) % 1.0, lightness * 0.8**step, saturation)
 
@@ -58,17 +58,29 @@ def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def color_by(recording: "Recording") -> tuple[str, ...]:
     """What particles can be coloured by: the material, the height, and the recording's own values."""
-    return (*_ALWAYS, *named_values(recording))
+    return color_names(recording.values)
+
+
+def color_names(values: Iterable[str]) -> tuple[str, ...]:
+    """What particles can be coloured by if a recording has values of these names."""
+    return (*_ALWAYS, *renamed(values, _ALWAYS))
 
 
 def named_values(recording: "Recording") -> dict[str, np.ndarray]:
     """The recording's own values by the names that ``color_by`` has for them."""
-    return {renamed(name, _ALWAYS): np.asarray(value) for name, value in recording.values.items()}
+    names = renamed(recording.values, _ALWAYS)
+    return {name: np.asarray(value) for name, value in zip(names, recording.values.values(), strict=True)}
 
 
-def renamed(name: str, taken: Sequence[str]) -> str:
-    """The name, or, if it is one of those taken, ``<name> (recorded)``."""
-    return f"{name} (recorded)" if name in taken else name
+def renamed(names: Iterable[str], taken: Sequence[str]) -> tuple[str, ...]:
+    """The names, where one that is taken becomes ``<name> (recorded)``. No two of them become the same."""
+    names, found = tuple(names), []
+    for name in names:
+        shown = name
+        while shown in (*taken, *found) or (shown != name and shown in names):
+            shown = f"{shown} (recorded)"
+        found.append(shown)
+    return tuple(found)
 
 
 def particle_colors(recording: "Recording", by: str = "material") -> np.ndarray:
@@ -102,6 +114,6 @@ def shape_color(drawing: "Drawing") -> tuple[np.ndarray, float]:
 
 
 __all__ = [
-    "MATERIALS", "color_by", "material_colors", "named_values", "particle_colors", "renamed", "scale_colors",
-    "shape_color", "value_range",
+    "MATERIALS", "color_by", "color_names", "material_colors", "named_values", "particle_colors", "renamed",
+    "scale_colors", "shape_color", "value_range",
 ]  # fmt: skip

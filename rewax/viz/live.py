@@ -23,6 +23,8 @@ from rewax.viz.surface import has_surfaces
 
 _TICK = 1.0 / 30.0
 """Time between frames on the page [s]."""
+_HOLD = 0.5
+"""How long the last frame of an episode stays before the first one follows, at speed 1 of the page [s]."""
 
 
 class LiveViewer:
@@ -46,8 +48,15 @@ class LiveViewer:
         except ImportError:
             raise ValueError("a live view needs viser: pip install 'rewax[live]'") from None
         port = _free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()), guarded(host):  # the caller prints the address
-            self._server: Any = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
+        self._server: Any = None
+        with contextlib.redirect_stdout(io.StringIO()):  # the caller prints the address
+            try:
+                with guarded(host):
+                    self._server = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
+            except ValueError:
+                if self._server is not None:  # it is not guarded
+                    self._server.stop()
+                raise
         self.url = f"http://{host}:{port}"
         self._lock, self._closed = threading.RLock(), threading.Event()
         self._recording: Recording | None = None
@@ -205,10 +214,17 @@ class LiveViewer:
                 if self._closed.is_set():
                     return
                 if self._recording is not None and self._playing.value and self._duration > 0.0:
-                    self._time += (now - before) * self._speed * self._rate.value
-                    self._time = 0.0 if self._time > self._duration else self._time
-                    self._draw(int(np.searchsorted(self._recording.times, self._time, side="right")) - 1)
+                    self._advance(self._recording, (now - before) * self._rate.value)
             before = now
+
+    def _advance(self, recording: Recording, seconds: float) -> None:
+        """Play on. The last frame stays for a while; a page that is too slow for all frames shows it, too."""
+        self._time += seconds * self._speed
+        if self._shown < recording.num_frames - 1:
+            self._time = min(self._time, self._duration)
+        elif self._time > self._duration + _HOLD * self._speed:
+            self._time = 0.0
+        self._draw(int(np.searchsorted(recording.times, self._time, side="right")) - 1)
 
 
 def _free_port(host: str, port: int) -> int:

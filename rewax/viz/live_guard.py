@@ -2,24 +2,26 @@
 
 import contextlib
 import ipaddress
-from collections.abc import Iterator, Mapping
+import socket
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 from unittest import mock
 from urllib.parse import urlsplit
 
 
-def refusal(headers: Mapping[str, str], *, local: bool) -> str | None:
+def refusal(headers: Mapping[str, str], names: Collection[str]) -> str | None:
     """Why a request is refused, or None.
 
     Args:
       headers: of the request. A browser names in ``Origin`` the site whose page opens a socket, and in ``Host`` the
         address that it connects to; the two must be the same. Programs other than browsers send no ``Origin``.
-      local: the page is served to this machine alone. ``Host`` must then be ``localhost`` or a number: a site may give
-        its own name the address 127.0.0.1 (DNS rebinding).
+      names: what ``Host`` may be besides an IP address, in lower case. A site may give its own name the address of this
+        machine (DNS rebinding).
     """
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    if local and not _is_local_name(urlsplit(f"//{host}").hostname or ""):
-        return f"this page is not served as {host}: open it as localhost"
+    named = urlsplit(f"//{host}").hostname or ""
+    if named not in names and not _is_number(named):
+        return f"this page is not served as {host}: open it as {' or '.join(sorted(names))}, or by an IP address"
     if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
         return f"pages of {origin} may not connect to {host}"
     return None
@@ -33,11 +35,19 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _is_local_name(name: str) -> bool:
+def names_of(host: str) -> frozenset[str]:
+    """Names by which a page that is served at this address may be opened: ``localhost``, and this machine's own."""
+    if is_loopback(host):
+        return frozenset({"localhost"})
+    own = {name.lower() for name in (host, socket.gethostname(), socket.getfqdn())}
+    return frozenset({"localhost", *(name for name in own if not _is_number(name))})
+
+
+def _is_number(name: str) -> bool:
     try:
         ipaddress.ip_address(name)
     except ValueError:
-        return name == "localhost"
+        return False
     return True
 
 
@@ -50,11 +60,11 @@ def guarded(host: str) -> Iterator[None]:
     """
     from websockets.asyncio import server
 
-    serve, started = server.serve, []
+    serve, started, names = server.serve, [], names_of(host)
 
     def guarded_serve(*args: Any, process_request: Any = None, **options: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
-            reason = refusal(request.headers, local=is_loopback(host))
+            reason = refusal(request.headers, names)
             if reason is not None:
                 return connection.respond(403, reason + "\n")
             return None if process_request is None else process_request(connection, request)
@@ -68,4 +78,4 @@ def guarded(host: str) -> Iterator[None]:
         raise ValueError("this version of viser cannot be kept from other sites: pip install 'viser<1.2'")
 
 
-__all__ = ["guarded", "is_loopback", "refusal"]
+__all__ = ["guarded", "is_loopback", "names_of", "refusal"]

@@ -101,7 +101,7 @@ class Surfaces:
     def draw(self, frame: int) -> None:
         parts = self._found.get(frame)
         if parts is None:
-            parts = self._found[frame] = surfaces(self._recording, frame)
+            parts = self._found[frame] = surfaces(self._recording, frame, sizes=self._diameters)
         colors = _in_frame(self._colors, frame)
         shown: dict[str, Any] = {}
         for i, part in enumerate(parts):

@@ -184,7 +184,7 @@ function follow(player, wanted) {
   const set = (id, value) => { byId(id).value = value; byId(id).dispatchEvent(new Event("change")); };
   if (wanted.has("color")) set("color", wanted.get("color"));
   if (wanted.has("plot")) set("plot", wanted.get("plot"));
-  if (wanted.get("view") in VIEWS) player.orbit.view(wanted.get("view"));
+  if (Object.hasOwn(VIEWS, wanted.get("view"))) player.orbit.view(wanted.get("view"));
   if (player.runs[Number(wanted.get("run")) - 1]) player.choose(Number(wanted.get("run")) - 1);
   if (wanted.has("balls")) byId("surface").click();
   const title = titlesOf(player.runs).find((known) => known.startsWith(wanted.get("camera")));

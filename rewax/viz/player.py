@@ -26,7 +26,7 @@ from rewax.whole_files import replacing
 MAX_RUNS = 8
 """Browsers draw no more WebGL canvases at once reliably."""
 CURVES = ("reward", "return", "actions")
-"""Curves that every page offers; metrics follow."""
+"""Names of the page's own curves; a page without actions offers the first two. Metrics follow."""
 _ASPECT = 4 / 3
 _ASSETS = Path(__file__).parent
 SCRIPTS = (
@@ -85,7 +85,10 @@ def _run(recording: Recording) -> dict[str, Any]:
         "rewards": _rounded(np.nan_to_num(recording.rewards)),  # JSON has no NaN
         "actions": _packed(actions, np.float32),
         "num_actions": actions.shape[1],
-        "metrics": {renamed(name, CURVES): _packed(values, np.float32) for name, values in recording.metrics.items()},
+        "metrics": {
+            name: _packed(values, np.float32)
+            for name, values in zip(renamed(recording.metrics, CURVES), recording.metrics.values(), strict=True)
+        },
         "status": np.asarray(recording.status, int).tolist(),
         "axes": [side.right.tolist(), side.towards.tolist(), np.asarray(side.up).tolist()],
         "follow": follow,

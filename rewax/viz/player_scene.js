@@ -97,7 +97,8 @@ class Scene {
 
   drawSolids(frame, next, part, shadow) {
     const { gl } = this;
-    const posed = this.solids.filter((solid) => !solid.shown || solid.shown[frame]).map((solid) => {
+    const nearest = part < 0.5 ? frame : next;
+    const posed = this.solids.filter((solid) => !solid.shown || solid.shown[nearest]).map((solid) => {
       const a = solid.poses.subarray(7 * frame, 7 * frame + 7), b = solid.poses.subarray(7 * next, 7 * next + 7);
       const place = [0, 1, 2].map((i) => a[i] + part * (b[i] - a[i]));
       const same = a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] < 0 ? -1 : 1;

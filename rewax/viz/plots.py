@@ -156,9 +156,7 @@ def particle_strip(
     drawn_shapes = [[turned(shape, axes_of_view) for shape in frame] for frame in shapes] or [[] for _ in clouds]
     low, high = _bounds(clouds, drawn_shapes)
     diameter = _spacing(clouds[0]) if diameter is None else diameter
-    normalize = Normalize(
-        low[1] if not clouds else min(c[:, 1].min() for c in clouds), max(c[:, 1].max() for c in clouds)
-    )
+    normalize = Normalize(min(c[:, 1].min() for c in clouds), max(c[:, 1].max() for c in clouds))
     extent = high - low
     width = 11.0 if len(clouds) > 3 else 3.2 * len(clouds)
     scale = width / (len(clouds) * extent[0])

@@ -67,8 +67,11 @@ class Recording:
     def __post_init__(self) -> None:
         if len(self.steps) == 0:
             raise ValueError("a recording has no frames: record at least one")
-        for cloud in () if self.particles is None else self.particles:
-            check_cloud(cloud)
+        self._check_steps()
+        if self.particles is not None:
+            self._check_particles(self.particles)
+        if len(self.drawings) not in (0, self.num_frames):
+            raise ValueError(f"drawings has {len(self.drawings)} frames, not {self.num_frames}: give one for each")
         kinds = [tuple(check_drawing(drawing) or drawing["kind"] for drawing in frame) for frame in self.drawings]
         if len(set(kinds)) > 1:
             raise ValueError("render_shapes gives other kinds of drawings in some frames: give the same ones in all")
@@ -76,8 +79,6 @@ class Recording:
             for i, (first, later) in enumerate(zip(self.drawings[0], frame, strict=True)):
                 if first["kind"] == "mesh" and not _same_mesh(first, later):
                     raise ValueError(f"drawing {i} is a mesh that changes: give the same vertices and triangles always")
-        if self.particles is not None and self.materials is not None:
-            self._check_materials(self.particles.shape[1], np.asarray(self.materials))
         for seen in self.seen:
             if len(seen.pixels) != len(self.steps):
                 raise ValueError(
@@ -85,6 +86,37 @@ class Recording:
                 )
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
+
+    def _check_steps(self) -> None:
+        """Rewards may be missing, as in ``snapshots``. All else that belongs to steps is as long as they are."""
+        count, status = len(self.rewards), np.asarray(self.status)
+        if status.shape != (count,):
+            raise ValueError(f"status has shape {status.shape}: give one number for each of {count} rewards")
+        if self.actions is not None and (np.ndim(self.actions) != 2 or len(self.actions) != count):
+            raise ValueError(f"actions has shape {np.shape(self.actions)}: give one row for each of {count} rewards")
+        for name, metric in self.metrics.items():
+            if np.shape(metric) != (count,):
+                raise ValueError(
+                    f"the metric {name} has shape {np.shape(metric)}: give one number for each of {count} rewards"
+                )
+
+    def _check_particles(self, particles: np.ndarray) -> None:
+        if len(particles) != self.num_frames:
+            raise ValueError(f"particles has {len(particles)} frames, not {self.num_frames}: give one for each")
+        for cloud in particles:
+            check_cloud(cloud)
+        count = particles.shape[1]
+        for name, value in self.values.items():
+            if np.shape(value) != (self.num_frames, count):
+                raise ValueError(
+                    f"the value {name} has shape {np.shape(value)}: give a number for each of {self.num_frames} frames "
+                    f"and {count} particles"
+                )
+        for name, corners, elements in (("triangles", 3, self.triangles), ("segments", 2, self.segments)):
+            if elements is not None:
+                _check_elements(name, np.asarray(elements), corners, count)
+        if self.materials is not None:
+            self._check_materials(count, np.asarray(self.materials))
 
     def _check_materials(self, num_particles: int, materials: np.ndarray) -> None:
         if materials.shape != (num_particles,):
@@ -140,6 +172,13 @@ class Recording:
         return self.take(np.unique(np.linspace(0, self.num_frames - 1, num_frames).round().astype(int)))
 
 
+def _check_elements(name: str, elements: np.ndarray, corners: int, num_particles: int) -> None:
+    if elements.ndim != 2 or elements.shape[1] != corners:
+        raise ValueError(f"{name} has shape {elements.shape}: give {corners} indices of particles in a row")
+    if not np.isin(elements, np.arange(num_particles)).all():
+        raise ValueError(f"{name} has an index that is none of the {num_particles} particles: give 0 to the last one")
+
+
 def _same_mesh(first: Drawing, later: Drawing) -> bool:
     keys = ("vertices", "triangles")
     return all(first[key] is later[key] or np.array_equal(first[key], later[key]) for key in keys)
@@ -149,8 +188,9 @@ def playback(recording: Recording) -> tuple[Recording, float, float]:
     """Choose the frames of a video, their rate and the playback speed.
 
     Returns:
-      The recording with at most 30 frames a second; the frames per second; the speed: 1 is real time, 0.25 is four
-      times slower. Episodes shorter than three seconds are slowed down, but not below ten frames a second.
+      The recording with at most 30 frames a second, from its first frame to its last; the frames per second; the
+      speed: 1 is real time, 0.25 is four times slower. Episodes shorter than three seconds are slowed down, but not
+      below ten frames a second.
     """
     times = recording.times
     duration = float(times[-1] - times[0])
@@ -161,8 +201,8 @@ def playback(recording: Recording) -> tuple[Recording, float, float]:
     slow = max(1, min(wanted, int(slowest)))
     rate = (recording.num_frames - 1) / (duration * slow)
     every = max(1, int(np.ceil(rate / FRAMES_PER_SECOND - 1e-6)))
-    shown = recording.take(range(0, recording.num_frames, every))
-    return shown, rate / every, 1.0 / slow
+    last = recording.num_frames - 1
+    return recording.take([*range(0, last, every), last]), rate / every, 1.0 / slow
 
 
 def describe_speed(recording: Recording, speed: float) -> str:
@@ -191,9 +231,8 @@ def _neighbour_distance(points: np.ndarray, default: float) -> float:
     if len(points) < 2:
         return default
     some = np.random.default_rng(0).permutation(len(points))[:256]
-    square = ((points[some, None] - points[None]) ** 2).sum(-1)
-    square[np.arange(len(some)), some] = np.inf
-    return max(float(np.sqrt(np.median(square.min(axis=1)))), 0.25 * default)
+    nearest = [np.partition(((points - points[i]) ** 2).sum(-1), 1)[1] for i in some]  # after the point itself
+    return max(float(np.sqrt(np.median(nearest))), 0.25 * default)
 
 
 __all__ = ["FRAMES_PER_SECOND", "Recording", "describe_speed", "diameters", "playback"]

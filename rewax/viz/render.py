@@ -68,21 +68,6 @@ def pictures(
     return _or_software(recording, size, color_by, found.name)
 
 
-def last_picture(recording: Recording, *, size: tuple[int, int] = (360, 480)) -> np.ndarray:
-    """Draw the last frame of a recording with NumPy, as the last of ``pictures``; the others only frame it.
-
-    Args:
-      recording: what to show.
-      size: height and width in pixels.
-
-    Returns:
-      A picture, uint8 of shape (height, width, 3).
-    """
-    shown = skinned(recording)
-    last = recording.num_frames - 1
-    return next(iter(software_pictures(shown, size, "material", surface=has_surfaces(shown), start=last)))
-
-
 def software_pictures(
     recording: Recording, size: tuple[int, int], color_by: str, *, surface: bool = False, start: int = 0
 ) -> Iterator[np.ndarray]:
@@ -109,4 +94,4 @@ def _or_software(recording: Recording, size: tuple[int, int], color_by: str, bac
         yield from software_pictures(recording, size, color_by, start=done)  # framed and coloured as a whole
 
 
-__all__ = ["RENDERERS", "last_picture", "pictures", "software_pictures"]
+__all__ = ["RENDERERS", "pictures", "software_pictures"]

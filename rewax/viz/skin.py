@@ -31,7 +31,7 @@ class Skin(NamedTuple):
 def skinned(recording: Recording) -> Recording:
     """The recording with closed surfaces in place of cloth, ropes and loose particles; others are returned unchanged.
 
-    The back of cloth has a shade of its own: a material whose name ends with ``_2``.
+    The back of cloth has a shade of its own: a material with the name of the front's and ``_2``.
     """
     if recording.thickness is None:
         return recording
@@ -47,9 +47,9 @@ def skinned(recording: Recording) -> Recording:
     names = tuple(recording.material_names) or ("cloth",)
     materials = np.zeros(x.shape[1], int) if recording.materials is None else np.asarray(recording.materials)
     materials = materials[owners]
-    if back.any():
-        materials = np.where(back, len(names), materials)
-        names = (*names, f"{names[0]}_2")
+    fronts = np.unique(materials[back])
+    materials = np.where(back, len(names) + np.searchsorted(fronts, materials), materials)
+    names = (*names, *(f"{names[front]}_2" for front in fronts))
     return dataclasses.replace(
         recording,
         particles=np.concatenate([skin.vertices for skin in skins], axis=1).astype(np.float32),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rewax.viz.buffers import NearestBuffer
-from rewax.viz.camera import Camera, focal_length, frame_recording
+from rewax.viz.camera import Camera, Framing, focal_length, frame_recording
 from rewax.viz.colors import particle_colors, shape_color
 from rewax.viz.ground import Ground, sky
 from rewax.viz.meshes import Mesh, mesh
@@ -24,15 +24,23 @@ class SoftwareRenderer:
       height, width: of a picture in pixels.
       color_by: what colours particles, see ``rewax.viz.colors.color_by``.
       surface: show particles by the surfaces of their materials (``rewax.viz.surface``) instead of spheres.
+      framing: where the camera stands in each frame; by default it shows the whole recording.
     """
 
     def __init__(
-        self, recording: Recording, *, height: int, width: int, color_by: str = "material", surface: bool = False
+        self,
+        recording: Recording,
+        *,
+        height: int,
+        width: int,
+        color_by: str = "material",
+        surface: bool = False,
+        framing: Framing | None = None,
     ) -> None:
         self._recording, self._size = recording, (height, width)
         self._surface = surface and has_surfaces(recording)
         self._rows, self._columns = _SAMPLES * height, _SAMPLES * width
-        self._framing = frame_recording(recording, aspect=width / height)
+        self._framing = framing or frame_recording(recording, aspect=width / height)
         self._up = np.asarray(recording.up, float)
         camera = self._framing.camera(0, self._up)  # all cameras of a recording look in the same direction
         self._axes = np.stack([camera.right, camera.up, -camera.forward]).astype(np.float32)
@@ -48,7 +56,8 @@ class SoftwareRenderer:
             sky(height, width),
             1.0 / focal_length(height),
         )
-        self._radii = None if recording.particles is None else (0.5 * diameters(recording)).astype(np.float32)
+        self._diameters = None if recording.particles is None else diameters(recording)
+        self._radii = None if self._diameters is None else (0.5 * self._diameters).astype(np.float32)
         self._colors = None if recording.particles is None else particle_colors(recording, color_by)
         first = [shape for shape in recording.shapes(0) if shape["kind"] != "plane"]
         self._meshes = [mesh(shape) if shape["kind"] == "mesh" else None for shape in first]
@@ -93,7 +102,7 @@ class SoftwareRenderer:
             faces /= np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-12)
             self._draw_triangles(camera, corners, faces, colors[triangles].mean(axis=1), depth, picture)
         elif self._surface:
-            for part in surfaces(self._recording, frame):
+            for part in surfaces(self._recording, frame, sizes=self._diameters):
                 corners, normals = part.vertices[part.triangles], part.normals[part.triangles]
                 color = colors[part.nearest][part.triangles].mean(axis=1)
                 self._draw_triangles(camera, corners, normals, color, depth, picture)

@@ -19,7 +19,7 @@ LEVEL = 0.5
 MARGIN = 4
 """Cells between the particles and the end of the grid, so that every surface is closed."""
 _MAX_CELLS = 2_000_000
-"""Largest grid. Where splashes fly far, cells become longer instead."""
+"""Cells of the largest grid, about: margins add some. Where splashes fly far, cells become longer instead."""
 
 
 class Surface(NamedTuple):
@@ -45,14 +45,20 @@ def has_surfaces(recording: Recording) -> bool:
     return recording.particles is not None and recording.triangles is None
 
 
-def surfaces(recording: Recording, frame: int) -> list[Surface]:
+def surfaces(recording: Recording, frame: int, *, sizes: np.ndarray | None = None) -> list[Surface]:
     """The surface of each material's particles in a frame, in the order of the materials; absent materials have none.
 
     Each particle adds a Gaussian to a density on a grid. The surface lies where the density is half of the median over
     the particles. Particles outside it, further than a diameter away, are loose.
+
+    Args:
+      recording: has particles, not vertices of a mesh.
+      frame: whose surfaces are computed.
+      sizes: ``diameters(recording)``, shape (num_particles,); None computes them, in each call anew.
     """
     assert recording.particles is not None
-    cloud, sizes = np.asarray(recording.particles[frame], np.float64), diameters(recording)
+    cloud = np.asarray(recording.particles[frame], np.float64)
+    sizes = diameters(recording) if sizes is None else sizes
     materials = np.zeros(len(cloud), int) if recording.materials is None else np.asarray(recording.materials)
     members = [np.flatnonzero(materials == material) for material in np.unique(materials)]
     return [_surface(cloud, some, float(sizes[some].mean())) for some in members]

@@ -59,6 +59,7 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
             "--set gives scene.material.density 2 values: a record has one",
         ),
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
+        (["record", "--env=RollingFlat", "--script", "file"], "'file' holds no rows: give one action in a row"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "file/a.json"], "file cannot be written or read"),

@@ -129,6 +129,28 @@ def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatc
     assert [line.split(":")[0] for line in said[1:]] == ["iteration 1", "iteration 2"]
 
 
+def test_a_live_view_shows_a_checkpoint_that_is_written_while_it_starts(run, monkeypatch, capsys):
+    pytest.importorskip("viser")
+    from rewax.cli import play
+    from rewax.training.storage import checkpoint, saved
+
+    load_run, newest = saved.load_run, checkpoint.latest_step(run)
+
+    def slowly(directory):
+        loaded = load_run(directory)
+        checkpoint.save(run, loaded.train_state.replace(iteration=loaded.train_state.iteration + 1))
+        return loaded
+
+    def interrupt(seconds):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(saved, "load_run", slowly)
+    monkeypatch.setattr(play, "time", types.SimpleNamespace(sleep=interrupt))
+    assert main(["play", str(run), "--live", "--port=0", "--frames=3"]) == 130
+    said = capsys.readouterr().out.splitlines()[1:]
+    assert [line.split(":")[0] for line in said] == [f"iteration {newest}", f"iteration {newest + 1}"]
+
+
 def test_a_live_view_passes_over_a_damaged_checkpoint_once(run, monkeypatch, capsys, recwarn):
     pytest.importorskip("viser")
     from rewax.cli import play

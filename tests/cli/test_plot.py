@@ -71,6 +71,13 @@ def test_runs_of_one_name_are_told_apart_and_all_are_drawn(tmp_path, monkeypatch
     assert list(seen) == same and all(path in out.read_text() for path in same)
 
 
+def test_a_run_without_a_finished_episode_is_named(runs, tmp_path, capsys):
+    early, out = make_run(tmp_path, "early", returns=("nan",)), tmp_path / "curves.svg"
+    assert main(["plot", runs[0], early, "--out", str(out)]) == 0
+    said = f"note: no episode of {early} has ended, so it has no curve\nwrote {out}\n"
+    assert capsys.readouterr().out == said
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

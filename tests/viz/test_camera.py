@@ -5,6 +5,8 @@ import pytest
 import recordings
 
 from rewax.viz.camera import frame_recording, look
+from rewax.viz.player import write_player
+from rewax.viz.render import pictures
 
 
 @pytest.mark.parametrize("up", [np.eye(3)[1], np.eye(3)[2]])
@@ -42,7 +44,6 @@ def test_the_camera_goes_with_what_travels_far():
 
 
 def test_the_camera_is_at_what_two_frames_show():
-    """As ``GymnasiumEnv.render`` asks for: the first state of an episode and the present one."""
     framing = frame_recording(recordings.moving_ball(2, travel=30.0))
     assert framing.follow
     np.testing.assert_allclose(framing.targets, [[0.0, 0.5, 0.0], [30.0, 0.5, 0.0]])
@@ -56,6 +57,24 @@ def test_the_floor_is_the_plane_or_just_below_everything():
     assert frame_recording(recordings.moving_ball(floor=-1.0)).floor == -1.0
 
 
-def test_an_unknown_key_is_refused():
-    with pytest.raises(ValueError, match="camera has an unknown key 'azimut': use azimuth, elevation, zoom, follow"):
-        frame_recording(recordings.moving_ball(camera={"azimut": 3.0}))
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        ({"azimut": 3.0}, "camera has an unknown key 'azimut': use azimuth, elevation, zoom, follow"),
+        ({"zoom": 0}, "camera has zoom 0: give a number above 0"),
+        ({"zoom": -1.0}, "camera has zoom -1.0: give a number above 0"),
+        ({"zoom": np.inf}, "camera has zoom inf: give a finite number"),
+        ({"azimuth": np.nan}, "camera has azimuth nan: give a finite number"),
+        ({"elevation": "high"}, "camera has elevation 'high': give a finite number"),
+    ],
+)
+def test_what_no_camera_can_be_is_refused(camera, said):
+    with pytest.raises(ValueError, match=said):
+        frame_recording(recordings.moving_ball(camera=camera))
+
+
+def test_a_point_can_be_shown(tmp_path):
+    point = recordings.made(1, drawings=[[{**recordings.BALL, "radius": 0.0}]])
+    assert frame_recording(point).radius > 0.0
+    write_player([point], tmp_path / "a.html")
+    assert next(pictures(point, size=(30, 40), renderer="software")).shape == (30, 40, 3)

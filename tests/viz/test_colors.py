@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.colors import MATERIALS, material_colors, particle_colors, scale_colors, shape_color, value_range
+from rewax.viz.colors import (
+    MATERIALS,
+    color_by,
+    color_names,
+    material_colors,
+    named_values,
+    particle_colors,
+    renamed,
+    scale_colors,
+    shape_color,
+    value_range,
+)
 
 
 def test_materials_have_their_colours_and_unknown_ones_another():
@@ -47,6 +58,17 @@ def test_height_is_along_up_and_outliers_do_not_stretch_the_scale():
     assert value_range(np.concatenate([np.linspace(0.0, 1.0, 999), [1e9]]))[1] < 1.01
     with pytest.raises(ValueError, match="cannot be coloured by 'mass'"):
         particle_colors(recording, "mass")
+
+
+def test_names_that_are_taken_are_changed_until_no_two_are_the_same():
+    known = "height (recorded)"
+    assert renamed(("height", "speed"), ("height",)) == (known, "speed")
+    assert renamed(("height", known), ("height",)) == (f"{known} (recorded)", known)
+    assert len({*renamed(("a", "a (recorded)"), ("a", "a (recorded)")), "a", "a (recorded)"}) == 4
+    values = {"height": np.zeros((1, 60)), known: np.ones((1, 60))}
+    recording = recordings.cloud(1, values=values)
+    assert color_by(recording) == color_names(values) == ("material", "height", f"{known} (recorded)", known)
+    assert named_values(recording)[known].all() and not named_values(recording)[f"{known} (recorded)"].any()
 
 
 def test_shapes_have_a_colour_of_their_own_or_the_common_one():

@@ -3,12 +3,14 @@
 import socket
 import sys
 import time
+import types
 import urllib.request
 
 import numpy as np
 import pytest
 import recordings
 
+from rewax.viz import surface
 from rewax.viz.camera import frame_recording
 from rewax.viz.live import LiveViewer
 from rewax.viz.live_matter import ROOT, ball
@@ -52,13 +54,26 @@ def test_the_page_is_served_and_the_timeline_moves_particles(viewer):
     np.testing.assert_allclose(viewer.positions(), recording.particles[0], atol=1e-6)
 
 
-def test_it_plays_by_itself_and_begins_again(viewer):
-    viewer.show(recordings.cloud(5, travel=0.1))
-    seen, deadline = set(), time.monotonic() + 20.0
-    while len(seen) < 3 and time.monotonic() < deadline:
-        seen.add(float(viewer.positions()[0, 0]))
-        time.sleep(0.02)
-    assert len(seen) >= 3
+@pytest.mark.parametrize("num_frames", [2, 5])
+def test_it_plays_by_itself_and_begins_again(viewer, num_frames):
+    viewer.show(recordings.cloud(num_frames, travel=0.1))
+    seen, deadline = [viewer._shown], time.monotonic() + 20.0
+    while seen.count(0) < 2 and time.monotonic() < deadline:
+        if viewer._shown != seen[-1]:
+            seen.append(viewer._shown)
+        time.sleep(0.01)
+    assert set(seen) == set(range(num_frames)) and seen[-1] == 0
+
+
+def test_the_last_frame_stays_for_a_while_on_a_slow_page_too(viewer):
+    recording = recordings.moving_ball(5)
+    viewer.show(recording)
+    viewer._playing.value = False
+    shown = []
+    for seconds in (100.0, 0.4, 0.2, 0.2):
+        viewer._advance(recording, seconds)
+        shown.append(viewer._shown)
+    assert shown == [4, 4, 0, 2]
 
 
 def test_the_next_episode_replaces_the_last_one(viewer):
@@ -163,8 +178,9 @@ def test_a_mesh_has_the_colours_of_its_particles(viewer, monkeypatch):
     assert len(meshes) > before and np.ptp(shown[:6], axis=0).max() == 0 and (shown[0] != shown[-1]).any()
 
 
-def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer):
+def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer, monkeypatch):
     """One surface for each material, moved with the frame; a particle that flies alone is a ball."""
+    monkeypatch.setattr(surface, "diameters", None)  # they are computed once, not in each frame
     recording = recordings.cloud(3, 2000, travel=0.1)
     recording.particles[:, 0] += 2.0
     viewer.show(recording)
@@ -179,6 +195,15 @@ def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer):
     np.testing.assert_allclose(viewer.positions().mean(axis=0) - before.mean(axis=0), [0.2, 0.0, 0.0], atol=0.01)
     as_balls(viewer)
     np.testing.assert_allclose(viewer.positions(), recording.particles[2], atol=1e-6)
+
+
+def test_a_page_that_cannot_be_guarded_is_not_served(monkeypatch):
+    stopped = []
+    server = types.SimpleNamespace(stop=lambda: stopped.append(True))
+    monkeypatch.setattr(pytest.importorskip("viser"), "ViserServer", lambda **options: server)
+    with pytest.raises(ValueError, match="cannot be kept from other sites"):
+        LiveViewer(port=0)
+    assert stopped == [True]
 
 
 def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):

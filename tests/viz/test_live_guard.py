@@ -5,28 +5,45 @@ import urllib.request
 
 import pytest
 
-from rewax.viz.live_guard import guarded, is_loopback, refusal
+from rewax.viz.live_guard import guarded, is_loopback, names_of, refusal
 
 
 @pytest.mark.parametrize(
-    ("host", "origin", "local", "reason"),
+    ("host", "origin", "served_at", "reason"),
     [
-        ("127.0.0.1:8080", "http://127.0.0.1:8080", True, None),
-        ("localhost:8080", "http://localhost:8080", True, None),
-        ("[::1]:8080", "http://[::1]:8080", True, None),
-        ("127.0.0.1:8080", None, True, None),
-        ("127.0.0.1:8080", "https://evil.example", True, "pages of https://evil.example may not connect"),
-        ("127.0.0.1:8080", "http://127.0.0.1:9999", True, "pages of http://127.0.0.1:9999 may not connect"),
-        ("127.0.0.1:8080", "null", True, "pages of null may not connect"),
-        ("127.0.0.1:8080", "http://localhost:8080", True, "may not connect to 127.0.0.1:8080"),
-        ("evil.example:8080", "http://evil.example:8080", True, "not served as evil.example:8080"),
-        ("lab.example:8080", "http://lab.example:8080", False, None),
-        ("lab.example:8080", "https://evil.example", False, "pages of https://evil.example may not connect"),
+        ("127.0.0.1:8080", "http://127.0.0.1:8080", "127.0.0.1", None),
+        ("localhost:8080", "http://localhost:8080", "127.0.0.1", None),
+        ("[::1]:8080", "http://[::1]:8080", "127.0.0.1", None),
+        ("127.0.0.1:8080", None, "127.0.0.1", None),
+        ("127.0.0.1:8080", "https://evil.example", "127.0.0.1", "pages of https://evil.example may not connect"),
+        ("127.0.0.1:8080", "http://127.0.0.1:9999", "127.0.0.1", "pages of http://127.0.0.1:9999 may not connect"),
+        ("127.0.0.1:8080", "null", "127.0.0.1", "pages of null may not connect"),
+        ("127.0.0.1:8080", "http://localhost:8080", "127.0.0.1", "may not connect to 127.0.0.1:8080"),
+        (
+            "evil.example:8080",
+            "http://evil.example:8080",
+            "127.0.0.1",
+            "evil.example:8080: open it as localhost, or by",
+        ),
+        ("lab.example:8080", "http://lab.example:8080", "127.0.0.1", "not served as lab.example:8080"),
+        ("192.168.0.2:8080", "http://192.168.0.2:8080", "0.0.0.0", None),
+        ("Lab:8080", "http://lab:8080", "0.0.0.0", None),
+        ("lab.example:8080", "http://lab.example:8080", "0.0.0.0", None),
+        ("alias.example:8080", "http://alias.example:8080", "alias.example", None),
+        ("lab.example:8080", "https://evil.example", "0.0.0.0", "pages of https://evil.example may not connect"),
+        (
+            "evil.example:8080",
+            "http://evil.example:8080",
+            "0.0.0.0",
+            "open it as lab or lab.example or localhost, or by",
+        ),
     ],
 )
-def test_the_origin_must_be_the_host(host, origin, local, reason):
+def test_the_origin_must_be_the_host_and_the_host_this_machine(host, origin, served_at, reason, monkeypatch):
+    monkeypatch.setattr("socket.gethostname", lambda: "Lab")
+    monkeypatch.setattr("socket.getfqdn", lambda: "lab.example")
     headers = {"Host": host} if origin is None else {"Host": host, "Origin": origin}
-    found = refusal(headers, local=local)
+    found = refusal(headers, names_of(served_at))
     assert found is None if reason is None else reason in found
 
 

@@ -19,7 +19,8 @@ def in_node(page, names, ask):
     """What a script finds that has the page's text as ``text``, and these scripts of the page."""
     text = re.search(r'<script id="data" type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1]
     folder = player.Path(player.__file__).parent
-    scripts = "\n".join((folder / f"player_{name}.js").read_text() for name in names)
+    files = [folder / ("player.js" if name == "player" else f"player_{name}.js") for name in names]
+    scripts = "\n".join(file.read_text().partition("\nopen()")[0] for file in files)  # do not open the page
     run = f'const text = require("fs").readFileSync(0, "utf8");\n(async () => {{ {ask} }})()'
     script = f"{scripts}\n{run}.then((found) => process.stdout.write(JSON.stringify(found)));"
     done = subprocess.run([NODE, "-e", script], input=text, capture_output=True, text=True, timeout=60)
@@ -46,16 +47,18 @@ def test_numbers_may_have_any_name(tmp_path):
 
 def test_names_of_the_page_stay_its_own(tmp_path):
     heights = np.full((3, 60), 7.0)
-    taken = recordings.cloud(3, metrics={"reward": np.array([5.0, 6.0])}, values={"height": heights})
+    metrics = {"reward": np.array([5.0, 6.0]), "reward (recorded)": np.array([7.0, 8.0])}
+    taken = recordings.cloud(3, metrics=metrics, values={"height": heights})
     page = write_player([taken], tmp_path / "a.html")
     ask = """
     const { runs: [run], colors } = await read(text);
-    return [colors, run.ranges, linesOf(run, "reward")[0], Array.from(linesOf(run, "reward (recorded)")[0])];
+    const names = ["", " (recorded)", " (recorded) (recorded)"].map((ending) => `reward${ending}`);
+    return [colors, run.ranges, ...names.map((name) => Array.from(linesOf(run, name)[0] || []))];
     """
-    colors, ranges, rewards, recorded = in_node(page, ("data", "gl", "curves"), ask)
+    colors, ranges, rewards, kept, recorded = in_node(page, ("data", "gl", "curves"), ask)
     assert colors == ["material", "height", "height (recorded)"]
     assert ranges["height"][1] < 0.6 and ranges["height (recorded)"][0] == 7.0
-    assert (rewards, recorded) == ([1.0, 1.0], [5.0, 6.0])
+    assert (rewards, kept, recorded) == ([1.0, 1.0], [7.0, 8.0], [5.0, 6.0])
 
 
 @pytest.mark.parametrize("dt", [1 / 60, 1 / 30, 0.0123456789, float(np.float32(0.02))])
@@ -101,6 +104,36 @@ def test_with_follow_off_the_floor_is_as_large_as_the_path(tmp_path):
     (at, near, fine), (middle, far, coarse) = in_node(page, ("data", "gl", "scene"), ask)
     assert at > 25.0 and middle == pytest.approx(14.75)
     assert near < 5.0 and far > 29.5 and coarse > 4.0 * fine
+
+
+def test_solids_have_the_look_of_the_nearest_frame_up_to_the_last(tmp_path):
+    drawings = [[{**recordings.BALL, "opacity": opacity}] for opacity in (0.125, 0.25, 0.5, 1.0)]
+    page = write_player([recordings.made(4, drawings=drawings)], tmp_path / "a.html")
+    ask = """
+    const { runs: [run] } = await read(text), { times } = run, gl = new Proxy({}, { get: () => () => {} });
+    const solids = run.solids.map((solid) => ({ ...solid, array: {} }));
+    const looksAt = (time) => {
+      const seen = [], { frame, next, part } = momentOf(run, time);
+      const scene = { gl, solids, eye: [0, 0, 1], back: [0, 0, 1], use: (_, { paint }) => seen.push(paint[3]) };
+      Scene.prototype.drawSolids.call(scene, frame, next, part, false);
+      return seen;
+    };
+    let time = 0;
+    const stepped = times.map(() => { const seen = looksAt(time); time += run.dt; return seen; });
+    return [times.map(looksAt), stepped, looksAt(times[1] + 0.4 * run.dt), looksAt(times[1] + 0.6 * run.dt)];
+    """
+    each = [[0.125], [0.25], [0.5], [1.0]]
+    assert in_node(page, ("data", "gl", "scene", "player"), ask) == [each, each, [0.25], [0.5]]
+
+
+def test_the_address_chooses_only_views_that_there_are(tmp_path):
+    page = write_player([recordings.moving_ball()], tmp_path / "a.html")
+    ask = """
+    const chosen = [], player = { runs: [], show: {}, orbit: { view: (name) => chosen.push(name) }, toggle() {} };
+    for (const view of ["top", "toString", "none"]) follow(player, new URLSearchParams({ view }));
+    return chosen;
+    """
+    assert in_node(page, ("camera", "seen", "player"), ask) == ["top"]
 
 
 def test_the_space_bar_plays_unless_a_button_or_a_chooser_takes_it(tmp_path):

@@ -22,6 +22,7 @@ def test_times_and_totals_are_those_of_the_frames():
     ("num_frames", "dt", "rate", "speed", "said"),
     [
         (301, 0.02, 25.0, 1.0, "in real time"),  # 6 s, every second frame
+        (302, 0.02, 25.0, 1.0, "in real time"),  # and the last one
         (301, 1 / 60, 30.0, 1.0, "in real time"),
         (61, 0.02, 50 / 3, 1 / 3, "3 times slower than real time"),
         (61, 0.007, 1 / 0.056, 1 / 8, "8 times slower than real time"),
@@ -38,6 +39,7 @@ def test_videos_last_as_long_as_is_said(num_frames, dt, rate, speed, said):
         return
     assert found_rate == pytest.approx(rate) and found_speed == pytest.approx(speed)
     assert found_rate <= 30.0 + 1e-6
+    assert shown.steps[0] == 0 and shown.steps[-1] == num_frames - 1 and np.all(np.diff(shown.steps) > 0)
     duration = (shown.num_frames - 1) / found_rate
     assert duration == pytest.approx((num_frames - 1) * (dt or 0.04) / found_speed, rel=0.01)
     assert describe_speed(shown, found_speed) == said
@@ -53,6 +55,33 @@ def test_spheres_of_a_lattice_touch_and_each_material_has_its_own():
     assert np.ptp(found[materials == 0]) == 0.0
     np.testing.assert_allclose(found[0], 0.1, rtol=0.25)
     np.testing.assert_allclose(found[-1], 0.05, rtol=0.25)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"status": np.zeros(3, int)}, r"status has shape \(3,\): give one number for each of 4 rewards"),
+        ({"rewards": np.ones(3)}, r"status has shape \(4,\): give one number for each of 3 rewards"),
+        ({"actions": np.ones(4)}, r"actions has shape \(4,\): give one row for each of 4 rewards"),
+        ({"metrics": {"mass": np.ones(5)}}, r"the metric mass has shape \(5,\): give one number for each of 4 rewards"),
+        ({"particles": np.zeros((4, 60, 3))}, "particles has 4 frames, not 5: give one for each"),
+        ({"drawings": [[recordings.BALL]] * 6}, "drawings has 6 frames, not 5: give one for each"),
+        (
+            {"values": {"speed": np.zeros((60, 5))}},
+            r"the value speed has shape \(60, 5\): give a number for each of 5 frames and 60 particles",
+        ),
+        ({"triangles": np.zeros((2, 2), int)}, r"triangles has shape \(2, 2\): give 3 indices of particles in a row"),
+        ({"triangles": np.array([[0, 1, 60]])}, "triangles has an index that is none of the 60 particles"),
+        ({"segments": np.array([[-1, 1]])}, "segments has an index that is none of the 60 particles"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(options, said):
+    with pytest.raises(ValueError, match=said):
+        recordings.cloud(5, **options)
+
+
+def test_rewards_may_be_missing():
+    assert recordings.cloud(3, rewards=np.zeros(0), status=np.zeros(0, int)).num_frames == 3
 
 
 def test_what_cannot_be_shown_is_refused():

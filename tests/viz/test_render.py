@@ -7,7 +7,7 @@ import pytest
 import recordings
 
 from rewax.viz import opengl
-from rewax.viz.render import last_picture, pictures
+from rewax.viz.render import pictures
 
 SIZE = (96, 128)
 
@@ -27,13 +27,6 @@ def test_without_opengl_every_frame_is_drawn_all_the_same(no_opengl):
     steps = [np.abs(a.astype(int) - b).mean() for a, b in itertools.pairwise(frames)]
     assert min(steps) > 0.1  # they are in order, and each one is another
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > max(steps)
-
-
-def test_the_last_picture_is_drawn_alone_and_framed_by_all():
-    recording = recordings.cloud(3, travel=0.1)
-    first, *_, last = drawn(recording, renderer="software")
-    np.testing.assert_array_equal(last_picture(recording, size=SIZE), last)
-    assert (first != last).any()
 
 
 def test_a_driver_that_crashes_is_replaced_in_the_middle(monkeypatch):

@@ -69,6 +69,17 @@ def test_the_pane_shows_each_frame_beside_the_scene():
     assert pane_width(plain, 120) == 0 and next(iter(beside(plain, iter(frames), 120))) is frames[0]
 
 
+def test_more_pictures_than_fit_below_each_other_stand_in_several_panes():
+    recording = seeing(kinds=("depth", "bodies") * 2)
+    frame = np.zeros((120, 160, 3), np.uint8)
+    (shown,) = beside(recording.take([2]), [frame], 120)
+    two = pane_width(seeing(), 120)
+    assert pane_width(recording, 120) == 2 * two and shown.shape == (120, 160 + 2 * two, 3)
+    np.testing.assert_array_equal(shown[:, 160 : 160 + two], shown[:, 160 + two :])
+    for kinds in (3, 7):
+        assert pane_width(seeing(kinds=("depth",) * kinds), 120) > 0
+
+
 def test_a_video_of_a_seeing_recording_is_wider_and_plays(tmp_path):
     recording = seeing(kinds=("depth",))
     video.record_video(recording, tmp_path / "a.mp4", size=(96, 128), renderer="software")

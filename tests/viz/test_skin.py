@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import recordings
 
+from rewax.viz.colors import material_colors
 from rewax.viz.player import write_player
 from rewax.viz.render import pictures
 from rewax.viz.skin import balls, lines, sheet, skinned, tube
@@ -90,6 +91,22 @@ def test_values_and_materials_are_those_of_the_owners():
     np.testing.assert_array_equal(skin.values["speed"][0], [0, 1, 2, 3, 0, 1, 2, 3, *[4] * 8, *[5] * 8, *[6] * 8, 4, 6])
     plain = recordings.cloud()
     assert skinned(plain) is plain
+
+
+def test_the_back_is_named_by_the_clothes_own_material():
+    """Wherever it stands among the materials, and for each of several."""
+    two = np.concatenate([TRIANGLES, TRIANGLES + 4])
+    points = np.concatenate([SQUARE, SQUARE + [0.0, 1.0, 0.0], SQUARE + [0.0, 2.0, 0.0]])
+    skin = skinned(
+        recordings.made(
+            1, particles=points[None], triangles=two, thickness=0.1, materials=np.repeat([2, 1, 0], 4),
+            material_names=("sand", "cloth", "cloth_2"),
+        )
+    )  # fmt: skip
+    assert skin.material_names == ("sand", "cloth", "cloth_2", "cloth_2", "cloth_2_2")
+    np.testing.assert_array_equal(skin.materials[:16], np.repeat([2, 1, 4, 3], 4))
+    colors = material_colors(skin.material_names)
+    assert not np.array_equal(colors[2], colors[4]) and np.argmax(colors[4]) == np.argmax(colors[2])
 
 
 def test_particles_beside_cloth_become_balls():

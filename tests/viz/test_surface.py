@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import recordings
 
+from rewax.viz import surface
+from rewax.viz.recording import diameters
 from rewax.viz.render import pictures
 from rewax.viz.surface import has_surfaces, surfaces
 
@@ -72,6 +74,16 @@ def test_pictures_show_the_surface_in_the_colour_of_its_material():
     rough = [np.abs(np.diff(image.mean(axis=-1)[40:-20], axis=1))[inside[:, 1:]].mean() for image in (spheres, surface)]
     assert rough[1] < 0.6 * rough[0]  # smooth where spheres are bumpy
     assert blue[1][:40].any()  # the drop
+
+
+def test_sizes_of_particles_are_computed_once_for_all_frames(monkeypatch):
+    recording = made(ball(), floor=0.0)
+    (expected,) = surfaces(recording, 0)
+    sizes = diameters(recording)
+    monkeypatch.setattr(surface, "diameters", None)
+    (found,) = surfaces(recording, 0, sizes=sizes)
+    np.testing.assert_array_equal(found.vertices, expected.vertices)
+    assert next(pictures(recording, size=(30, 40), renderer="software", surface=True)).std() > 0.0
 
 
 def test_a_mesh_keeps_its_own_surface():

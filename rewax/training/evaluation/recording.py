@@ -14,6 +14,7 @@ from rewax.envs.wrappers import AutoReset, Vmap, select
 from rewax.training.evaluation.cameras import make_pixels, seen_by
 from rewax.training.evaluation.episodes import Policy, with_step
 from rewax.types import Key, PyTree
+from rewax.viz.colors import color_names
 from rewax.viz.recording import Recording
 
 _NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
@@ -41,7 +42,7 @@ def check_color_by(env: Any, color_by: str) -> None:
             values = tuple(jax.eval_shape(lambda physics: dict(env.particle_values(physics)), physics))
         except Exception:  # the environment's code cannot be traced: the recording reports an error
             return
-    known = ("material", "height", *values)
+    known = color_names(values)
     if color_by not in known:
         raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(known)}")
 

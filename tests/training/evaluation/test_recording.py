@@ -14,7 +14,7 @@ from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask
 from rewax.envs.memory import MEMORY, Remembered
 from rewax.physics import rigid
 from rewax.training.evaluation.episodes import constant_policy
-from rewax.training.evaluation.recording import can_record, record, snapshots
+from rewax.training.evaluation.recording import can_record, check_color_by, record, snapshots
 from rewax.viz.camera import frame_recording
 from rewax.viz.software import SoftwareRenderer
 
@@ -89,6 +89,15 @@ def test_of_an_environment_with_automatic_reset_one_episode_is_recorded():
     np.testing.assert_array_equal(again.steps, one.steps)
     with pytest.raises(ValueError, match="env is a batch of environments: record one of them"):
         recorded(stack([toys.point_mass(), toys.point_mass()]), 0.2)
+
+
+def test_particles_are_coloured_by_the_names_that_pictures_have(monkeypatch):
+    values = {"height": jnp.zeros(8), "mass": jnp.zeros(8)}
+    monkeypatch.setattr(toys.PointMass, "particle_values", lambda self, physics: values, raising=False)
+    for name in ("height", "height (recorded)", "mass"):
+        check_color_by(toys.point_mass(), name)
+    with pytest.raises(ValueError, match=r"use one of material, height, height \(recorded\), mass"):
+        check_color_by(toys.point_mass(), "smell")
 
 
 def test_a_misspelt_appearance_is_a_sentence(monkeypatch):
