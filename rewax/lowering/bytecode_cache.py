@@ -39,9 +39,7 @@ from rewax.whole_files import replacing
 _LARGEST = 2**28
 """Largest size of all files in bytes. The first file that a process writes removes the oldest ones beyond it."""
 _KINDS: dict[str, type] = {"Bytecode": Bytecode, "BlockBytecode": BlockBytecode}
-_TRUSTED = (
-    "rewax.", "jax.", "jaxlib.", "numpy.", "builtins.", "functools.", "inspect.",
-)  # fmt: skip
+_TRUSTED = ("rewax.", "jax.", "jaxlib.", "numpy.", "builtins.", "functools.", "inspect.")
 """Modules whose functions are known by their name: the key holds their version, or their sources."""
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+(rewax(?:\.[\w.]+)?)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _IMPORTED = time.time()
