@@ -98,7 +98,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
-_MANY_MAPS, _MUCH_MEMORY = 20_000, 1.5e9
+_MANY_MAPS, _MUCH_MEMORY = 20_000, 3e9
 """Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
 
 

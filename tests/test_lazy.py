@@ -19,7 +19,7 @@ def test_every_name_that_is_listed_is_there(package):
 
 
 def test_importing_a_package_imports_none_of_its_modules():
-    program = "import sys, rewax.training, rewax.envs.kit; print([m for m in sys.modules if m.startswith(%r)])"
-    for package, known in {"rewax.training.": [], "rewax.envs.kit.": []}.items():
-        out = subprocess.run([sys.executable, "-c", program % package], capture_output=True, text=True, check=True)
-        assert out.stdout.strip() == str(known)
+    inside = ("rewax.training.", "rewax.envs.kit.")
+    program = f"import sys, rewax.training, rewax.envs.kit; print([m for m in sys.modules if m.startswith({inside})])"
+    out = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"

@@ -87,8 +87,6 @@ def test_seeds_side_by_side_and_directories_by_default_keep_their_parameters(tra
     assert train(*seeds, "--steps=24", "--resume")[0] == 0
     kwargs = read_config("b/1")["env_kwargs"]
     assert kwargs["identified"]["values"] == {"gain": 0.3}
-    assert train("--env-from", path, "--seed=2", "--run-dir=", "--steps=12")[0] == 0
-    assert train("--env-from", path, "--seed=2", "--run-dir=", "--steps=24", "--resume")[0] == 0
     code, text = train("--env=PointMass", "--seed=1", "--run-dir=", "--steps=12")
     assert code == 0 and "toy on PointMass, seed 1" in text
     code, text = train("--env-from", path, "--seed=1", "--run-dir=", "--steps=24", "--resume")

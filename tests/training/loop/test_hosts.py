@@ -15,10 +15,10 @@ from rewax.training.loop.hosts import Command, Leader, connect, leads, num_proce
 SCRIPT = Path(__file__).with_name("many_hosts.py")
 
 
-def start(*arguments):
+def start(sharing_programs, *arguments):
     command = [sys.executable, str(SCRIPT), *map(str, arguments)]
     paths = os.pathsep.join([str(SCRIPT.parent.parent), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "DEVICES": "2", "PYTHONPATH": paths}
+    environment = {**sharing_programs, "DEVICES": "2", "PYTHONPATH": paths}
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -31,15 +31,15 @@ def said(process):
     return out
 
 
-def test_two_processes_train_as_one_does_and_leave_one_run(tmp_path):
+def test_two_processes_train_as_one_does_and_leave_one_run(tmp_path, sharing_programs):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    both = [start("train", 2, index, port, tmp_path / "together") for index in range(2)]
+    both = [start(sharing_programs, "train", 2, index, port, tmp_path / "together") for index in range(2)]
     assert ["done" in said(process) for process in both] == [True, True]
     rows = tmp_path / "together" / "metrics.csv"
     assert len(rows.read_text().splitlines()) == 3
-    assert "the same in several processes and in one" in said(start("compare", tmp_path / "together"))
+    assert "the same in several processes and in one" in said(start(sharing_programs, "compare", tmp_path / "together"))
     assert len(rows.read_text().splitlines()) == 5  # one process went on
 
 

@@ -1,4 +1,7 @@
-"""Ctrl-C before anything is trained: the process leaves at once and says what there is. See test_cli.py for later ones."""
+"""Ctrl-C before anything is trained: the process leaves at once and says what there is.
+
+``tests/cli/test_train.py`` has later ones.
+"""
 
 import signal
 import subprocess

@@ -112,7 +112,7 @@ def test_they_act_as_the_run_does(name, changes, tmp_path):
         np.testing.assert_allclose(np.load(tmp_path / f"{how}.npy"), expected, rtol=1e-4, atol=2e-5)
 
 
-def test_a_policy_with_memory_acts_as_the_run_does_step_by_step(tmp_path):
+def test_a_policy_with_memory_acts_as_the_run_does_step_by_step(tmp_path, weights):
     run = saved("sapo", memory=5)
     export_policy(run, tmp_path)
     exported = jax.export.deserialize(bytearray((tmp_path / "policy.stablehlo").read_bytes()))
@@ -136,7 +136,7 @@ def test_a_policy_with_memory_acts_as_the_run_does_step_by_step(tmp_path):
     first = {name: a[0] for name, a in batch(1).items()}
     with pytest.raises(ValueError, match=r"memory is None: give shape \(5,\), at first initial_memory\(\)"):
         policy(first)
-    plain = NumpyPolicy(weights(tmp_path))
+    plain = NumpyPolicy(weights)
     assert plain.initial_memory() is None
     with pytest.raises(ValueError, match="memory is given, but this policy has none: leave it out"):
         plain(first, memory=np.zeros(5))
@@ -165,8 +165,8 @@ def test_noise_is_that_of_the_policys_distribution(tmp_path):
         ("array", "the observation is a ndarray: give a dict of arrays"),
     ],
 )  # fmt: skip
-def test_the_numpy_policy_says_what_is_wrong_with_an_observation(changes, sentence, tmp_path):
-    policy = NumpyPolicy(weights(tmp_path))
+def test_the_numpy_policy_says_what_is_wrong_with_an_observation(changes, sentence, weights):
+    policy = NumpyPolicy(weights)
     obs = {"cloud": np.zeros((8, 3)), "x": np.zeros(1), "also": np.zeros((2, 1, 2)), "more": np.zeros(7)}
     assert policy(obs).shape == (2,)
     del obs["more"]
@@ -175,7 +175,9 @@ def test_the_numpy_policy_says_what_is_wrong_with_an_observation(changes, senten
         policy(wrong)
 
 
-def weights(folder):
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policy")
     export_policy(saved("sapo"), folder)
     return folder / "weights.npz"
 

