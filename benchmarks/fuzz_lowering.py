@@ -4,8 +4,9 @@
     python benchmarks/fuzz_lowering.py --programs 200 --first 40 --way pointwise
 
 Prints what was compared and refused, by reason, and every wrong number with its program's seed. Exit status 1 if any is
-wrong. A number is right if it equals that of a compiled program of JAX or of JAX operation by operation up to rounding,
-where rounding is judged by the same program in double precision.
+wrong. A number is right if it equals that of a compiled program of JAX, of JAX operation by operation, or of JAX with
+other signs of computed zeros, up to rounding. The same program in double precision judges what rounding does. Infinite
+numbers and NaN are right only where one of these gives the same.
 """
 
 import argparse
@@ -21,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.random_programs import RandomProgram, draw_inputs, draw_program
+from benchmarks.random_programs import RandomProgram, Step, draw_inputs, draw_program
 from rewax.lowering import interpreted, pointwise, report
 
 BATCHES = [0, 1, 2, 3, 7, 16, 17, 33, 100, 1000]
@@ -29,8 +30,8 @@ WAYS = ("interpreted", "pointwise")
 RULES = ("value", "jvp", "vjp")
 
 
-_DIVIDES = ("div", "reciprocal", "inverse", "rsqrt", "atan2", "pow", "hypot")
-"""Beginnings of the names of operations that tell a negative zero from a positive one, or whose derivatives do."""
+SIGNS = 6
+"""Draws of the signs of zeros."""
 
 
 class Outcome(NamedTuple):
@@ -117,44 +118,74 @@ def _results(
     return [np.asarray(a) for a in jax.tree.leaves(out)]
 
 
-def _same(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
-    tolerance = 200 * np.finfo(a.dtype).eps if tolerance is None else tolerance
     with np.errstate(all="ignore"):
-        close = np.abs(a - b) <= tolerance * np.maximum(np.abs(b), 1.0)
-        return bool(np.all(close | (a == b) | (np.isnan(a) & np.isnan(b))))
+        return bool(np.all(_close(a, b, 200 * np.finfo(a.dtype).eps * np.maximum(np.abs(b), 1.0))))
+
+
+def _close(a: np.ndarray, b: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Where ``a`` is ``b``, up to ``scale`` if that is a number; shape of both."""
+    return np.isfinite(b) & (np.abs(a - b) <= scale) | (a == b) | np.isnan(a) & np.isnan(b)
 
 
 def _explained(
     program: RandomProgram, inputs: list, rule: str, seed: int, around: str, found: list, expected: list, dtype: type
 ) -> tuple[str, ...]:
-    """Sentences about what rounding does not explain."""
+    """Sentences about what neither rounding nor the signs of zeros explain."""
     with jax.enable_x64(True):
         doubled = [a.astype(np.float64) if np.issubdtype(a.dtype, np.floating) else a for a in inputs]
         exact = _results(jax.vmap(program), doubled, rule, seed, around)
     with jax.enable_x64(dtype == np.float64):
         stepwise = _results(jax.vmap(program), inputs, rule, seed, around, jit=False)
-    wrong, divides = [], any(name.startswith(_DIVIDES) for name in program.names)
-    turning = any(name.startswith("atan2") for name in program.names)
-    for k, (f, e, s, d) in enumerate(zip(found, expected, stepwise, exact, strict=True)):
+        signed = [
+            _results(jax.vmap(_with_signs(program, rule, draw)), inputs, rule, seed, around) for draw in range(SIGNS)
+        ]
+    wrong = []
+    for k, (f, e, s, d, *others) in enumerate(zip(found, expected, stepwise, exact, *signed, strict=True)):
+        if (f.shape, f.dtype) != (e.shape, e.dtype):
+            wrong.append(f"{rule} result {k}: {f.dtype}{list(f.shape)} for JAX's {e.dtype}{list(e.shape)}")
+            continue
         with np.errstate(all="ignore"):
             rounding = np.maximum(np.abs(e - d), np.abs(s - d))
-            scale = np.maximum(np.abs(d), 1.0) * 300 * np.finfo(f.dtype).eps + 30 * np.where(
-                np.isfinite(rounding), rounding, 0
-            )
-            near = np.minimum(np.abs(f - e), np.abs(f - s)) <= scale
-            equal = (f == e) | (f == s) | (np.isnan(f) & (np.isnan(e) | np.isnan(s)))
-            # A sum of negative zeros is a negative zero here, a positive one in JAX: quotients by it differ in sign.
-            equal |= divides & ~np.isfinite(f) & ~np.isfinite(e)
-            # Angles of it differ by half a turn or a whole one.
-            turns = (f - e) / np.pi
-            equal |= turning & (np.abs(turns - np.round(turns)) < 1e3 * np.finfo(f.dtype).eps)
-            bad = ~(near | equal)
+            rounding = 30 * np.where(np.isfinite(rounding), rounding, 0)
+            scales = [np.maximum(np.abs(r), 1.0) * 300 * np.finfo(f.dtype).eps + rounding for r in (e, s, *others)]
+            bad = ~np.any([_close(f, r, scale) for r, scale in zip((e, s, *others), scales, strict=True)], axis=0)
         if bad.any():
             at = tuple(int(i) for i in np.argwhere(bad)[0])
             wrong.append(f"{rule} result {k}{at}: {f[at]} for JAX's {e[at]} (stepwise {s[at]}, double {d[at]})")
     return tuple(wrong)
+
+
+def _with_signs(program: RandomProgram, rule: str, seed: int) -> RandomProgram:
+    """The program where computed zeros have other signs.
+
+    A sum of negative zeros is a negative zero here, a positive one in JAX: quotients and angles tell them apart.
+    """
+    signs = random.Random(seed)
+
+    def draw(step: Step) -> Step:
+        function, used = step
+        flip = _zeros_as(signs.choice([0.0, -0.0]), signs.choice([0.0, -0.0]), rule)
+        return (lambda *a: flip(function(*a))), used
+
+    return program._replace(steps=[draw(step) for step in program.steps])
+
+
+def _zeros_as(zero: float, of_derivative: float, rule: str) -> Callable[[Any], Any]:
+    """A function that gives zeros, and those of its derivatives, a sign."""
+
+    def put(a: Any, zero: float) -> Any:
+        return jnp.where(a == 0, jnp.asarray(zero, a.dtype), a)
+
+    if rule == "vjp":
+        flip = jax.custom_vjp(lambda a: put(a, zero))
+        flip.defvjp(lambda a: (put(a, zero), None), lambda _, g: (put(g, of_derivative),))
+    else:
+        flip = jax.custom_jvp(lambda a: put(a, zero))
+        flip.defjvp(lambda a, t: (put(a[0], zero), put(t[0], of_derivative)))
+    return lambda a: flip(a) if jnp.issubdtype(a.dtype, jnp.floating) else a
 
 
 def main() -> int:

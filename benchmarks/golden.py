@@ -75,27 +75,47 @@ def trained(agent: Any) -> dict[str, Any]:
 
 
 def compare(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> list[str]:
-    """A line for each task and part: how many arrays are equal to the bit, and the largest relative difference."""
+    """A line for each task and part: how many arrays are equal to the bit, and the largest relative difference.
+
+    Arrays of different types are not equal, and arrays that only one file has are named.
+    """
     parts = collections.defaultdict(list)
-    for name in sorted(before.keys() & after.keys()):
+    for name in sorted(before.keys() | after.keys()):
         task, part, leaf = name.split("|", 2)
-        parts[task, part].append((leaf, before[name], after[name]))
+        parts[task, part].append((leaf, before.get(name), after.get(name)))
     lines = []
     for (task, part), leaves in parts.items():
-        different = [(leaf, a, b) for leaf, a, b in leaves if a.shape != b.shape or a.tobytes() != b.tobytes()]
-        line = f"{task:16s} {part:20s} {len(leaves) - len(different)} of {len(leaves)} equal"
+        both = [(leaf, a, b) for leaf, a, b in leaves if a is not None and b is not None]
+        different = [(leaf, a, b) for leaf, a, b in both if not _equal(a, b)]
+        line = f"{task:16s} {part:20s} {len(both) - len(different)} of {len(leaves)} equal"
         if different:
             worst = max(_difference(a, b) for _, a, b in different)
-            line += f", largest difference {worst:.1e}: " + ", ".join(leaf for leaf, _, _ in different[:4])
+            line += f", largest difference {worst:.1e}: " + ", ".join(_named(*row) for row in different[:4])
+        for what, at in (("before", 2), ("after", 1)):
+            alone = [row[0] for row in leaves if row[at] is None]
+            line += f", only {what}: {', '.join(alone)}" if alone else ""
         lines.append(line)
     return lines
 
 
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def _named(leaf: str, a: np.ndarray, b: np.ndarray) -> str:
+    return leaf if a.dtype == b.dtype else f"{leaf} ({a.dtype}, now {b.dtype})"
+
+
 def _difference(a: np.ndarray, b: np.ndarray) -> float:
+    """The largest, over the largest finite number of ``a``; infinite for other shapes, NaN or infinity for a number."""
     if a.shape != b.shape:
         return np.inf
     a, b = a.astype(float), b.astype(float)
-    return float(np.nanmax(np.abs(a - b)) / max(np.nanmax(np.abs(a)), 1e-30))
+    with np.errstate(invalid="ignore"):
+        apart = np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, np.abs(a - b))
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    largest = np.max(np.abs(a), where=np.isfinite(a), initial=1e-30)
+    return float(np.max(apart, initial=0.0) / largest)
 
 
 def main() -> None:

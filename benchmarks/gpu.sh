@@ -41,6 +41,7 @@ part() {
     code=$?
     FAILED=$((FAILED + (code != 0)))
     say "$name: exit code $code after $((SECONDS - began)) s ($([ $code = 124 ] && echo "cut off at $limit s; ")${file##*/})"
+    return $code
 }
 
 # compile_all COMMAND...: runs the commands side by side, one per core, for the compiled programs that they leave behind
@@ -94,11 +95,15 @@ else
     for task in $TASKS; do commands+=("$PYTHON benchmarks/speed.py --worker train_step:$task:paper --repeats 1"); done
     for envs in 1 2 4 8 16 32; do commands+=("$PYTHON benchmarks/gpu_table.py --repeats 1 --envs $envs"); done
     for pass in forward backward; do commands+=("$PYTHON benchmarks/speed.py --worker $pass:RollingFlat:paper --num-envs 32 --repeats 1"); done
+    beside=()
     for task in RollingFlat AntRun SoftJumper FluidMove HandFlip; do  # compares values, so the others may run beside it
         part "agreement:$task" 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks "$task" &
+        beside+=($!)
     done
     compile_all "${commands[@]}"
-    wait
+    for pid in "${beside[@]}"; do
+        wait "$pid" || FAILED=$((FAILED + 1))  # a part beside the script counts in a shell of its own
+    done
     part table 240 table.txt "$PYTHON" benchmarks/gpu_table.py
     for pass in forward backward; do
         part "step:$pass" 100 step.txt "$PYTHON" benchmarks/speed.py --worker "$pass:RollingFlat:paper" --num-envs 32 --repeats 5

@@ -7,6 +7,9 @@ varies, so 1e-5 is agreement, and 1e-3 is enough where contact amplifies; the re
 much of a difference is the order of sums alone. An array whose numbers are all rounding errors of zero differs by 1:
 the velocity gradients of a body that falls freely, a reward for progress before any.
 
+Exit status 1 if a task raises an error, if the bits of ``status`` differ, or if an array differs by more than 1e-3 of
+its largest number, 1e-6, and three times what repeats differ by.
+
     python benchmarks/gpu_agreement.py
     python benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
 """
@@ -90,11 +93,23 @@ def difference(a: Any, b: Any) -> tuple[float, str]:
     return worst, where
 
 
-def main(args: Args) -> None:
+def agrees(a: Any, b: Any, again: Any) -> bool:
+    """Whether no array of two devices differs by more than the limits above; ``again`` is a repeat of ``b``."""
+    for x, y, z in zip(*map(jax.tree.leaves, (a, b, again)), strict=True):
+        if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating) and x.size:
+            x, y, z = (np.asarray(array, np.float64) for array in (x, y, z))
+            limit = np.max([1e-3 * np.abs(x).max(), 1e-6, 3.0 * np.abs(y - z).max()])
+            if not np.abs(x - y).max() <= limit:  # nor is NaN
+                return False
+    return True
+
+
+def main(args: Args) -> int:
     enable_compilation_cache()
     cpu, other = jax.devices("cpu")[0], jax.devices()[0]
     print(f"jax {jax.__version__}; CPU against {other.device_kind}; scale {args.scale}, {args.num_envs} environments")
     print(f"{'':14s} {'array':20s} {'devices differ':>15s} {'repeats differ':>15s}")
+    failed = 0
     for task in args.tasks:
         try:
             state, action = start(args, task, cpu)
@@ -102,13 +117,18 @@ def main(args: Args) -> None:
             second, again = run(args, task, other, state, action)
         except Exception as error:  # the other tasks go on
             print(f"{task:14s} failed: {type(error).__name__}: {str(error).splitlines()[0][:160]}", flush=True)
+            failed += 1
             continue
         for name in ("reward", "state", "gradient by action", "gradient by state"):
             (apart, where), (noise, _) = difference(first[name], second[name]), difference(second[name], again[name])
-            print(f"{task:14s} {name:20s} {apart:15.1e} {noise:15.1e}  {where}", flush=True)
+            end = "" if agrees(first[name], second[name], again[name]) else "  DIFFERS"
+            print(f"{task:14s} {name:20s} {apart:15.1e} {noise:15.1e}  {where}{end}", flush=True)
+            failed += bool(end)
         bits = [describe(int(np.bitwise_or.reduce(r["status"]))) for r in (first, second)]
         print(f"{task:14s} {'status':20s} {bits[0]:>15s} {bits[1]:>15s}", flush=True)
+        failed += not np.array_equal(first["status"], second["status"])
+    return int(failed > 0)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    raise SystemExit(main(tyro.cli(Args, description=__doc__)))

@@ -8,6 +8,8 @@ speeds of joints and cube in 64 episodes of 64 steps of full random actions, hel
     python benchmarks/hand_contact.py
 """
 
+import argparse
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,7 @@ NUM, NUM_STEPS = 32, 240
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     enable_compilation_cache()
     print("| scale, contact | flat on the palm | held, up to 0.3 N m | held, up to 0.8 N m | largest speeds |")
     print("|---|---|---|---|---|")

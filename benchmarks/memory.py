@@ -2,7 +2,7 @@
 
     python benchmarks/memory.py                                         # everything: hours on two cores
     python benchmarks/memory.py --tasks Goal --algorithms sapo --columns gru --seeds 0
-    python benchmarks/memory.py --table                                 # the table of the rows that are there
+    python benchmarks/memory.py --table | python benchmarks/page_tables.py docs/policies_that_remember.md
 
 Each cell (task, algorithm, column, seed) trains one policy and evaluates 64 episodes with deterministic actions from
 the same starts. Its row is written when it is finished, and finished cells are skipped. Tasks:
@@ -28,9 +28,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import tyro
-from rows import fill, read, returns
+from rows import fill, read, returns, spread
 from trained import earned
 
 import rewax
@@ -185,7 +184,7 @@ def table(rows: list[dict[str, str]]) -> str:
 
     def cell(task: str, algorithm: str, column: str) -> str:
         some = returns(rows, task=task, algorithm=algorithm, column=column)
-        return f"{np.mean(some):.2f} ± {np.std(some):.2f} ({len(some)})" if some else "-"
+        return f"{spread(some, 2)} ({len(some)})" if some else "-"
 
     lines = ["| task | algorithm | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (len(COLUMNS) + 2)]
     for task in TASKS:

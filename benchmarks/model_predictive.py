@@ -1,7 +1,7 @@
 """iLQR of ``examples/ilqr.py`` beside TrajOpt and SAPO: returns and seconds at scale ``small``.
 
     python benchmarks/model_predictive.py --seeds 3
-    python benchmarks/model_predictive.py --report  # the table of docs/mpc.md
+    python benchmarks/model_predictive.py --report | python benchmarks/page_tables.py docs/mpc.md
 
 Rows of iLQR are those of ``docs/suites/mpc/results.csv``; a second call goes on where the first stopped. An episode of
 iLQR is one start, seconds are those of planning and acting, with compiled programs. The other rows are those of the
@@ -12,7 +12,6 @@ training.
 import argparse
 import os
 import sys
-import time
 from pathlib import Path
 
 import rows as stored
@@ -30,11 +29,7 @@ def run(task: str, seed: int) -> dict[str, object]:
     """An episode of iLQR."""
     import ilqr
 
-    args = ilqr.Args(env=task, horizon=HORIZONS[task], seed=seed, steps=1, first_iterations=1)
-    ilqr.main(args)  # compiles
-    began = time.perf_counter()
-    earned = ilqr.main(ilqr.Args(env=task, horizon=HORIZONS[task], seed=seed))
-    seconds = time.perf_counter() - began
+    earned, seconds = ilqr.main(ilqr.Args(env=task, horizon=HORIZONS[task], seed=seed))
     return {
         "task": task, "horizon": HORIZONS[task], "seed": seed, "return": f"{earned:.3f}", "seconds": f"{seconds:.1f}",
         "cpus": os.cpu_count(), "load": f"{os.getloadavg()[0]:.1f}",

@@ -63,4 +63,10 @@ def mean(rows: Iterable[Mapping[str, str]], **wanted: str) -> str:
     return f"{np.mean(found):.1f} ({len(found)})" if found else "-"
 
 
-__all__ = ["append", "fill", "mean", "read", "returns"]
+def spread(values: Sequence[float], digits: int) -> str:
+    """Mean and standard deviation over seeds (n - 1 in the denominator); a dash for the deviation of one seed."""
+    deviation = f"{np.std(values, ddof=1):.{digits}f}" if len(values) > 1 else "-"
+    return f"{np.mean(values):.{digits}f} ± {deviation}"
+
+
+__all__ = ["append", "fill", "mean", "read", "returns", "spread"]

@@ -1,7 +1,8 @@
 """How fast tasks are: compile seconds, milliseconds per env step, particle-substeps per second, peak memory.
 
 Each measurement runs in a process of its own, so that peak memory is its own; the cold compile uses an empty cache
-directory, the warm one what the cold one left there. A train step is measured beside the gradient of the same
+directory, the warm one what the cold one left there. Peak memory is that of the warm process: to compile
+needs memory too. A train step is measured beside the gradient of the same
 segment of the same environments without policy and critics. The difference is the time spent outside physics.
 
     python benchmarks/speed.py                                       # every registered task at both scales
@@ -191,11 +192,10 @@ def run_worker(args: Args, what: str, task: str, scale: str, cache: str, repeats
 
 def measure_cold_and_warm(args: Args, what: str, task: str, scale: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as cache:
-        once = what == "train_step"
-        cold = run_worker(args, what, task, scale, cache, args.repeats)
-        warm = run_worker(args, what, task, scale, cache, 0 if once else args.repeats)
+        cold = run_worker(args, what, task, scale, cache, 0 if what == "train_step" else args.repeats)
+        warm = run_worker(args, what, task, scale, cache, args.repeats)
     row = min(cold, warm, key=lambda r: r["run_ms"])
-    return {**row, "compile_s": warm["compile_s"], "compile_cold_s": cold["compile_s"]}
+    return {**row, **{key: warm[key] for key in ("compile_s", "peak_gb")}, "compile_cold_s": cold["compile_s"]}
 
 
 def describe(name: str, row: dict[str, float]) -> str:

@@ -1,10 +1,8 @@
 """PPO and SAC of rewax beside those of Stable-Baselines3, on one task with the networks and options of one preset.
 
     pip install 'rewax[stable-baselines3]'
-    python -m benchmarks.stable_baselines --algo sac --env CartpoleSwingUp --steps 102400 307200 --seeds 0 1 2 3 4
-    python -m benchmarks.stable_baselines --algo ppo --env Hopper --steps 409600 --seeds 0 1 2 3 4
-
-(`-m`, because torch would take `benchmarks/profile.py` for the module `profile` of Python.)
+    python benchmarks/stable_baselines.py --algo sac --env CartpoleSwingUp --steps 102400 307200 --seeds 0 1 2 3 4
+    python benchmarks/stable_baselines.py --algo ppo --env Hopper --steps 409600 --seeds 0 1 2 3 4
 
 Prints the mean return of 64 episodes with sampled actions after the given numbers of control steps, counted over all
 environments. ``--options name=value`` changes the preset of both libraries, ``--rewax name=value`` that of rewax alone.
@@ -45,6 +43,7 @@ from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
 import rewax
+from benchmarks.rows import spread
 from rewax import struct
 from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv
 from rewax.agents.registry import algorithm
@@ -263,8 +262,7 @@ def main() -> None:
             for total, value in zip(args.steps, run(seed), strict=True):
                 rows[-1].append(value)
                 print(f"{name:18s} seed {seed} {total:10,d} steps: {value:10.1f}", flush=True)
-        mean, std = np.mean(rows, axis=0), np.std(rows, axis=0)
-        print(f"{name:18s} mean after {args.steps}:", *(f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, std, strict=True)))
+        print(f"{name:18s} mean after {args.steps}:", *(spread(values, 1) for values in zip(*rows, strict=True)))
 
 
 def changed(config: Any, changes: Sequence[str]) -> Any:

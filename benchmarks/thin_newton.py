@@ -4,20 +4,15 @@ It needs ``newton`` and ``warp-lang``, not rewax. Collisions with the sphere are
 examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself. ``vbd``
 and ``xpbd`` are Newton's other solvers of cloth.
 
-    python -P thin_newton.py NUM_TRIANGLES [self | vbd | xpbd]
-
-``-P`` keeps this folder's ``profile.py`` from hiding Python's own.
+    python thin_newton.py NUM_TRIANGLES [self | vbd | xpbd]
 """
 
 import sys
-from pathlib import Path
 
 import newton  # pyright: ignore[reportMissingImports]
 import numpy as np
-import warp as wp  # pyright: ignore[reportMissingImports]
-
-sys.path.append(str(Path(__file__).parent))
 import thin_scene as scene
+import warp as wp  # pyright: ignore[reportMissingImports]
 
 EVERY = 8
 

@@ -111,7 +111,7 @@ class Rewax:
 def started(kind: str, size: int, newton: str) -> subprocess.Popen:
     command = [sys.executable, __file__, "--worker", kind, "--sizes", str(size)]
     if kind.startswith("newton"):
-        command = [newton, "-P", str(HERE / "thin_newton.py"), str(size), *kind.split()[1:]]
+        command = [newton, str(HERE / "thin_newton.py"), str(size), *kind.split()[1:]]
     return subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -125,6 +125,14 @@ def asked(process: subprocess.Popen, operation: str, count: int) -> dict[str, An
         if line.startswith("{"):
             return json.loads(line)
     return {"error": "the worker has ended"}
+
+
+def has_newton(python: str) -> bool:
+    """Whether this Python can import what the opponent needs."""
+    try:
+        return subprocess.run([python, "-c", "import newton, warp"], capture_output=True).returncode == 0
+    except OSError:
+        return False
 
 
 def compare(size: int, args: argparse.Namespace) -> None:
@@ -170,6 +178,8 @@ def main() -> None:
     if args.worker:
         numbers.serve(Rewax(args.sizes[0], args.worker))
         return
+    if not has_newton(args.newton):
+        raise SystemExit(f"{args.newton} has no newton and warp-lang: give --newton a Python that has both")
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     print("| triangles | program | worker | wall [ms] | processor [ms] | ratio | ratio of processor time | result |")
     print("|---|---|---|---|---|---|---|---|")

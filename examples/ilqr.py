@@ -48,6 +48,16 @@ class Args:
 
 
 @jax.jit
+def reset(env: Any, key: Array) -> Any:
+    return env.reset(key)
+
+
+@jax.jit
+def step(env: Any, state: Any, action: Array) -> Any:
+    return env.step(state, action)
+
+
+@jax.jit
 def errors_and_jacobian(env: Any, state: Any, plan: Array, bound: float) -> tuple[Array, Array]:
     """Errors e_t, shape (horizon,), and their derivatives by the plan, shape (horizon, horizon, num_actions)."""
 
@@ -90,16 +100,15 @@ def improved(env: Any, state: Any, plan: np.ndarray, bound: float) -> np.ndarray
     return plans[int(np.argmax(returns(env, state, jnp.asarray(plans))))]
 
 
-def main(args: Args) -> float:
-    """Control an episode; returns the sum of rewards."""
+def main(args: Args) -> tuple[float, float]:
+    """Control an episode; returns the sum of rewards, and the seconds of planning and acting with compiled programs."""
     bound = REWARD_BOUNDS.get(args.env) if args.bound is None else args.bound
     if bound is None:
         raise ValueError(f"the largest reward of {args.env} is not known here: give --bound")
     env: Any = rewax.make(args.env, scale=args.scale)
-    step = jax.jit(lambda env, state, action: env.step(state, action))
-    state = jax.jit(lambda env, key: env.reset(key))(env, jax.random.key(args.seed))
+    state = reset(env, jax.random.key(args.seed))
     plan = np.zeros((args.horizon, *env.action_spec.shape), np.float32)
-    improved(env, state, plan, bound)  # compiles
+    step(env, state, jnp.asarray(improved(env, state, plan, bound)[0]))  # compiles
     total, began, num_steps = 0.0, time.perf_counter(), args.steps or env.episode_length
     for n in range(num_steps):
         for _ in range(args.iterations if n else args.first_iterations):
@@ -109,7 +118,7 @@ def main(args: Args) -> float:
         plan = np.concatenate([plan[1:], plan[-1:]])
         if n % 10 == 9 or n == num_steps - 1:
             print(f"step {n + 1:3d}  return {total:8.3f}  {time.perf_counter() - began:6.1f} s", flush=True)
-    return total
+    return total, time.perf_counter() - began
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Examples do what they say."""
 
 import runpy
+import types
 from pathlib import Path
 
 import jax
@@ -48,10 +49,36 @@ def test_ilqr_takes_a_point_to_its_target_as_fast_as_the_actions_allow():
 def test_ilqr_of_the_rolling_pin_earns_more_than_no_action():
     names = example("ilqr")
     args = {"horizon": 5, "first_iterations": 2, "steps": 8}
-    still = names["main"](names["Args"](**args | {"first_iterations": 0, "iterations": 0}))
-    assert names["main"](names["Args"](**args)) > still + 0.03
+    still, _ = names["main"](names["Args"](**args | {"first_iterations": 0, "iterations": 0}))
+    assert names["main"](names["Args"](**args))[0] > still + 0.03
     with pytest.raises(ValueError, match="the largest reward of Hopper is not known here: give --bound"):
         names["main"](names["Args"](env="Hopper"))
+
+
+def test_the_seconds_of_ilqr_are_those_of_planning_and_acting(monkeypatch):
+    names, clock, compiled = example("ilqr"), [0.0], []
+    inside = names["main"].__globals__
+
+    def improved(env, state, plan, bound):
+        clock[0] += 1.0
+        return plan
+
+    def step(env, state, action):
+        compiled.append(action)
+        clock[0] += 100.0
+        return env.step(state, action)
+
+    def make(env, scale):
+        clock[0] += 100.0
+        return toys.point_mass()
+
+    monkeypatch.setattr(names["rewax"], "make", make)
+    monkeypatch.setitem(inside, "time", types.SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setitem(inside, "improved", improved)
+    monkeypatch.setitem(inside, "step", jax.jit(step))
+    for _ in range(2):  # the second episode compiles nothing
+        assert names["main"](names["Args"](steps=3, first_iterations=2))[1] == 4.0
+    assert len(compiled) == 1
 
 
 def test_the_bound_of_ilqr_may_be_zero_or_negative(monkeypatch):

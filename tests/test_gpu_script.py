@@ -66,3 +66,17 @@ def test_a_part_that_is_cut_off_leaves_what_it_wrote(tmp_path):
     assert done.returncode == 1
     assert "began benchmarks/gpu_agreement.py" in (tmp_path / "out" / "agreement.txt").read_text()
     assert "agreement: exit code 124" in done.stdout and "step:RollingFlat: left out" in done.stdout
+
+
+@needs_bash
+def test_parts_that_run_side_by_side_count_when_they_fail(tmp_path):
+    """A stand-in for Python fails for one task of five."""
+    python = tmp_path / "python"
+    python.write_text('#!/bin/sh\ncase "$*" in *FluidMove) exit 1;; esac\n')
+    python.chmod(0o755)
+    environment = {"PATH": "/usr/bin:/bin", "PYTHON": str(python), "PARTS": "agreement"}
+    done = subprocess.run(
+        [str(BASH), str(SCRIPT), str(tmp_path / "out")], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 1 and "agreement:FluidMove: exit code 1 " in done.stdout
+    assert "done, 1 parts failed" in done.stdout

@@ -1,13 +1,18 @@
 """Random programs give the numbers of JAX; ``benchmarks/fuzz_lowering.py`` draws thousands."""
 
+import random
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from native_cases import NEEDS_COMPILER
 
+from benchmarks import fuzz_lowering
 from benchmarks.fuzz_lowering import WAYS, check_program
+from benchmarks.random_programs import RandomProgram, Value
 
 PROGRAMS = 40
 """For each way and precision."""
@@ -32,3 +37,34 @@ def test_random_programs(way, precision):
 
     check()
     assert compared > 0.8 * drawn
+
+
+QUOTIENT = ([lambda a: a, jnp.reciprocal], {np.inf, -np.inf})
+OVERFLOW = ([jnp.exp, lambda a: a * 3e37], {np.inf})
+
+
+@pytest.mark.parametrize(
+    ("rule", "steps", "right"), [("value", *OVERFLOW), ("value", *QUOTIENT), ("jvp", *QUOTIENT), ("vjp", *QUOTIENT)]
+)
+def test_another_result_than_an_infinite_one_is_reported(rule, steps, right, monkeypatch):
+    """Only a quotient by a zero that is computed may be infinite with the other sign."""
+    program = RandomProgram([Value((), "f")], [(f, (k,)) for k, f in enumerate(steps)], (2,), ["first", "reciprocal"])
+    compute, lowered = fuzz_lowering._results, []
+
+    def results(function, *arguments, **options):
+        found = compute(function, *arguments, **options)
+        if not lowered:  # the first to be computed
+            lowered.append(found)
+            found[0] = np.where(np.isinf(found[0]), instead, found[0]).astype(instead.dtype)
+        return found
+
+    monkeypatch.setattr(fuzz_lowering, "draw_program", lambda _: program)
+    monkeypatch.setattr(fuzz_lowering, "draw_inputs", lambda *_: [np.array([0.0, 4.0], np.float32)])
+    monkeypatch.setattr(fuzz_lowering, "RULES", (rule,))
+    monkeypatch.setattr(fuzz_lowering, "_lowered", lambda program, _: jax.vmap(program))
+    monkeypatch.setattr(fuzz_lowering, "_results", results)
+    for instead in (*(np.float32(number) for number in (np.inf, -np.inf, np.nan, 5.0)), np.float64(np.inf)):
+        lowered.clear()
+        outcome = check_program(random.Random(0), "interpreted")
+        expected = instead not in right or instead.dtype == np.float64
+        assert outcome.compared == 1 and bool(outcome.wrong) == expected, (instead, outcome.wrong)

@@ -1,6 +1,6 @@
 """Where an env step's time goes, as a picture: the compiled program's operations, summed by part of the substep.
 
-    python benchmarks/profile.py --task RollingFlat --scale paper --out docs/pictures/profile_cpu.png
+    python benchmarks/step_profile.py --task RollingFlat --scale paper --out docs/pictures/profile_cpu.png
 
 Operations run side by side on several cores, so times are shares of the sum of all operations, not of the wall clock.
 """
