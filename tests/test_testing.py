@@ -9,7 +9,7 @@ import pytest
 import toys
 
 from rewax import struct
-from rewax.envs.base import ArraySpec
+from rewax.envs.base import ArraySpec, first_state
 from rewax.envs.wrappers import AutoReset
 from rewax.status import Status
 from rewax.testing import check_env
@@ -31,6 +31,30 @@ def reset_with(change):
 
 def unclipped(self, state, action):
     return self.after(state, state.physics + self.gain * action)
+
+
+def weakly_unclipped(self, state, action):
+    return self.after(state, state.physics + self.gain * jnp.clip(action, -1.0, 1.0) + 1e-6 * action)
+
+
+def with_many_actions(change, weight):
+    """Twenty actions that move the point. ``change`` is applied to one of them, which has a weight of its own."""
+
+    def step(self, state, action):
+        action = jnp.clip(action, -1.0, 1.0)
+        action = action.at[3].set(weight * change(action[3]))
+        return self.after(state, state.physics + 0.05 * jnp.sum(action))
+
+    return {"step": step, "action_spec": property(lambda self: ArraySpec((20,), -1.0, 1.0))}
+
+
+def noisy(of):
+    """An observation with noise that ``of(state)``, a key, draws."""
+
+    def change(new, old, action):
+        return new.replace(obs={"x": new.obs["x"] + 0.01 * jax.random.normal(of(old))})
+
+    return change
 
 
 def half_cut(new, old, action):
@@ -190,8 +214,15 @@ BROKEN = {
     "episode_length is 5.0": {"episode_length": property(lambda self: 5.0)},
     "has dtype int32: use a float": {"reset": reset_with(lambda s: s.replace(obs={"x": jnp.zeros(1, jnp.int32)}))},
     "begin with both false": {"reset": reset_with(lambda s: s.replace(terminated=jnp.bool_(True)))},
-    "same state for different keys": {"reset": lambda self, key: toys.PointMass.reset(self, jax.random.key(0))},
     "the same key in the state": {"reset": reset_with(lambda s: s.replace(key=jax.random.key(0)))},
+    "reset sets the status NAN: begin where the physics is sound": {
+        "reset": lambda self, key: first_state(
+            physics=jnp.full(1, jnp.nan), obs={"x": jnp.ones(1)}, metrics={"distance": jnp.ones(())}, key=key
+        )
+    },
+    "obs 'x' draws the same numbers in every step: split state.key in step": {
+        "step": step_with(noisy(lambda old: old.key))
+    },
     r"metrics of reset and step differ in \['more'\]": {
         "step": step_with(lambda new, *_: new.replace(metrics={**new.metrics, "more": new.reward}))
     },
@@ -206,6 +237,7 @@ BROKEN = {
     "reward of step is not finite": {"step": step_with(lambda new, *_: new.replace(reward=jnp.float32(jnp.inf)))},
     r"jit\(step\) and step differ in \.reward": {"step": step_with(eager_only)},
     "clip the action in step": {"step": unclipped},
+    "its bound -1.0 and at it differ in .* clip the action in step": {"step": weakly_unclipped},
     "the gradient of the reward at action 0 holds a number that is not finite: .* take rewax.envs.kit.rewards.smooth_norm": {
         "step": step_with(
             lambda new, state, action: new.replace(reward=-jnp.sqrt(jnp.sum((new.physics - state.physics) ** 2)))
@@ -225,6 +257,9 @@ BROKEN = {
     r"the derivative of obs\['x'\] after 3 steps \(summed with random signs\) along a direction of their actions is 0, and": {
         "step": step_with(blind)
     },
+    r"the reward of 3 steps along components 3 of their actions is 0, and central differences give": with_many_actions(
+        jax.lax.stop_gradient, 0.2
+    ),
     r"is 3, and central differences give 0: a stop_gradient, .* custom derivative": {
         "step": step_with(straight_through)
     },
@@ -277,6 +312,27 @@ def test_a_sound_environment_passes():
     assert lines[0] == "check_env PointMass, 0 s: specs and parameters" and lines[-1].endswith(" s: passed")
     assert any(line.endswith("gradient through 3 steps") for line in lines)
     check_env(broken(**drawn(BALL)), notify=None)
+
+
+def test_what_may_be_meant_passes():
+    """An action without effect, an observation that never changes, episodes that begin alike: the last is said."""
+    goal = {"goal": jnp.ones(2)}
+
+    def reset(self, key):
+        return first_state(
+            physics=jnp.ones(1), obs={"x": jnp.ones(1), **goal}, metrics={"distance": jnp.ones(())}, key=key
+        )
+
+    def step(self, state, action):
+        new = many["step"](self, state.replace(obs={"x": state.obs["x"]}), action)
+        new = noisy(lambda old: jax.random.fold_in(old.key, old.step_count))(new, state, action)
+        return new.replace(obs={**new.obs, **goal})
+
+    many, lines = with_many_actions(lambda a: a, 0.0), []
+    spec = property(lambda self: {"x": ArraySpec((1,)), "goal": ArraySpec((2,))})
+    check_env(broken(**{**many, "reset": reset, "step": step, "observation_spec": spec}), notify=lines.append)
+    assert sum("all episodes begin with the same numbers" in line for line in lines) == 1
+    assert not any("settle" in line for line in lines)
 
 
 def test_a_reward_that_comes_late_passes_with_more_steps(capsys):

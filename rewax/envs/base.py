@@ -40,8 +40,8 @@ class State(struct.Replaceable):
       drawn: parameters of the environment that were drawn for this episode, by name; None where nothing is randomised
         (see ``rewax.envs.Randomized``).
       delayed: observations and actions that are on their way; None without ``rewax.envs.latency.Latency``.
-      failed_leaf: index of the first array that held a non-finite number in the last step, -1 for none, shape (),
-        int32. ``failed_leaf_name`` gives its name.
+      failed_leaf: index of the first array that held a non-finite number in the last step or reset, -1 for none,
+        shape (), int32. ``failed_leaf_name`` gives its name.
     """
 
     physics: PyTree
@@ -113,18 +113,26 @@ class Env(Protocol):
 
 
 def first_state(*, physics: PyTree, obs: Observation, metrics: dict[str, Array], key: Key) -> State:
-    """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``."""
+    """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``.
+
+    The status is ``Status.NAN`` if physics or observation hold a non-finite number. Such a state has not terminated:
+    the first step ends the episode, unless all numbers are finite again.
+    """
     kinds = (leaf.dtype for leaf in jax.tree.leaves(obs) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    reward = jnp.zeros((), next(kinds, jnp.result_type(float)))
+    not_finite = jnp.stack([~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)])
+    failed = not_finite.any()
     return State(
         physics=physics,
         obs=obs,
-        reward=jnp.zeros((), next(kinds, jnp.result_type(float))),
+        reward=reward,
         terminated=jnp.zeros((), bool),
         truncated=jnp.zeros((), bool),
         metrics=metrics,
         step_count=jnp.zeros((), jnp.int32),
-        status=jnp.zeros((), jnp.int32),
+        status=flag(failed, Status.NAN),
         key=key,
+        failed_leaf=jnp.where(failed, jnp.argmax(not_finite).astype(jnp.int32), NO_LEAF),
     )
 
 
@@ -143,7 +151,7 @@ def next_state(
 
     A step fails if physics, observation or reward hold a non-finite number, which sets ``Status.NAN``, or if ``status``
     has a fatal bit. Then the episode terminates with reward 0, and physics, observation and metrics keep their
-    previous, finite values; no gradient flows.
+    previous values, which are finite unless those of the reset were not; no gradient flows.
 
     Args:
       state: the state before the step.
@@ -227,4 +235,4 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
 def _checked_leaves(physics: PyTree, obs: Observation, reward: Array) -> list[Array]:
     """The arrays that must be finite, in the order of the names in ``failed_leaf_name``."""
     leaves = [*jax.tree.leaves(physics), *jax.tree.leaves(dict(obs)), reward]
-    return [leaf for leaf in leaves if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]
+    return [jnp.asarray(leaf) for leaf in leaves if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]

@@ -58,12 +58,17 @@ def minimize(
     Args:
       env, record, unknowns, frame_weights, seed, progress: as of ``identify``.
       loss: of one frame. Give the same function again to use its compiled program again.
-      iterations: steps.
-      learning_rate: in standard deviations of the priors.
+      iterations: steps, 1 or more.
+      learning_rate: in standard deviations of the priors, above 0.
 
     Raises:
-      ValueError: as ``identify``; or the median of the priors has no valid simulation, or no finite loss.
+      ValueError: as ``identify``; or an option is illegal, or the median of the priors has no valid simulation, or no
+        finite loss.
     """
+    if iterations < 1:
+        raise ValueError(f"iterations is {iterations}: give at least 1")
+    if not 0.0 < learning_rate < np.inf:
+        raise ValueError(f"learning_rate is {learning_rate}: give standard deviations of the priors, above 0")
     check_record(record)
     check_frame_weights(frame_weights, record.num_frames)
     env = without_reset_noise(env)

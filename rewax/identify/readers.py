@@ -7,8 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from rewax.envs.kit.set_points import Following
 from rewax.identify.record_checks import check_record
 from rewax.identify.records import Record, padded
+
+_NEAR = 1e-3
+"""Distance up to which two positions of a joint are the same [m, rad]; also the excess of an action beyond 1."""
 
 
 def read_folder(
@@ -28,8 +32,8 @@ def read_folder(
       scale: factor from the files' unit of length to metres: 0.001 for millimetres.
 
     Raises:
-      ValueError: in one sentence: files are missing or cannot be read, the path is too fast for the environment's
-        joints, or ``check_record`` finds a fault.
+      ValueError: in one sentence: files are missing or cannot be read, the environment's joints cannot follow the
+        path, or ``check_record`` finds a fault.
     """
     files, times = _files_and_times(Path(folder))
     clouds, masks = zip(*(padded(scale * _points(path), num_points) for path in files), strict=True)
@@ -63,15 +67,30 @@ def actions_of(env: Any, joint_q: np.ndarray) -> np.ndarray:
     """Actions that move an environment's joints along a path, shape (num_steps, num_joints).
 
     Raises:
-      ValueError: the path does not begin at ``joint_start``, or is faster than ``joint_step`` allows.
+      ValueError: the path does not begin at ``joint_start``, leaves ``joint_lower`` and ``joint_upper``, or is faster
+        than ``joint_step`` allows; or the joints follow set points.
     """
+    bare = getattr(env, "unwrapped", env)
+    if isinstance(bare, Following):
+        raise ValueError(
+            f"the joints of {type(bare).__name__} follow set points, so no actions move them along a path: choose a "
+            "task whose actions move joints by joint_step"
+        )
     gap = np.abs(joint_q[0] - np.asarray(env.joint_start)).max()
-    if gap > 1e-3:
+    if gap > _NEAR:
         raise ValueError(
             f"the tool's path begins {gap:.3g} from joint_start: give the environment joint_start={joint_q[0].tolist()}"
         )
+    # joint_start may lie beyond a limit: the first step then moves the joint to it.
+    low, high = joint_q[1:].min(0), joint_q[1:].max(0)
+    beyond = max((np.asarray(env.joint_lower) - low).max(), (high - np.asarray(env.joint_upper)).max())
+    if beyond > _NEAR:
+        raise ValueError(
+            f"the tool's path goes {beyond:.3g} beyond joint_lower or joint_upper, where the simulated tool stops: "
+            f"give the environment joint_lower of at most {low.tolist()} and joint_upper of at least {high.tolist()}"
+        )
     actions = np.diff(joint_q, axis=0) / np.asarray(env.joint_step)
-    if np.abs(actions).max() > 1.0 + 1e-3:
+    if np.abs(actions).max() > 1.0 + _NEAR:
         raise ValueError(
             f"the tool's path is {np.abs(actions).max():.2f} times as fast as joint_step allows: give the environment "
             "a larger joint_step"

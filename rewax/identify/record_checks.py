@@ -7,6 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.history import History
+from rewax.envs.kit.soft_task import SoftTask
+from rewax.envs.sensing import Sensing
 from rewax.identify.records import UNITS, VERSION, Record
 from rewax.physics.contact.colliders import MIN_INFLUENCE, shape_pose
 from rewax.physics.numerics.pose import body_pose
@@ -15,6 +18,8 @@ from rewax.physics.shapes import signed_distance
 _SMALLEST, _LARGEST = 1e-3, 50.0
 """Plausible extents of a cloud [m]: smaller ones may be metres for what are kilometres, larger ones millimetres."""
 _MIN_POINTS = 8
+_SAME_PATH = 1e-3
+"""Largest distance of a recorded joint from where the actions lead it [m, rad]."""
 
 
 def check_record(record: Record) -> None:
@@ -127,6 +132,7 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
         )
     if not np.any(record.actions) and (record.joint_q is None or not np.ptp(record.joint_q, axis=0).any()):
         raise ValueError("the tool does not move in this record: push the body, what rests says little")
+    _check_path(record, env)
     size = float(np.ptp(particles, axis=0).max())
     first = record.clouds[0][record.mask[0]]
     gap = float(np.linalg.norm(np.median(first, axis=0) - np.median(particles, axis=0)))
@@ -140,6 +146,32 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
     reach = 0.0 if grid is None else float(grid.spacing)
     if near is not None and near > 0.1 * size + reach:
         raise ValueError(f"the tool never touches: it stays {near:.3g} m from all seen points; record a push that does")
+
+
+def _check_path(record: Record, env: Any) -> None:
+    """Raises ValueError if the actions of a record lead the joints of an environment along another path than its own.
+
+    Only joints that ``SoftTask.advance`` moves are compared, not those behind a wrapper that may change actions.
+    """
+    while isinstance(env, (Sensing, History)):
+        env = env.env
+    if record.joint_q is None or getattr(type(env), "advance", None) is not SoftTask.advance:
+        return
+    q = np.asarray(env.joint_start, float)
+    lower, upper, step = (np.asarray(a, float) for a in (env.joint_lower, env.joint_upper, env.joint_step))
+    path = [q]
+    for action in np.clip(record.actions[:, : len(q)], -1.0, 1.0):
+        q = np.clip(q + step * action, lower, upper)
+        path.append(q)
+    if np.shape(record.joint_q) != np.shape(path):
+        raise ValueError(f"joint_q has shape {np.shape(record.joint_q)}: give one number for each of {len(q)} joints")
+    gap = np.abs(record.joint_q - np.stack(path)).max(1, initial=0.0)
+    if gap.max() > _SAME_PATH:
+        i = int(np.argmax(gap > _SAME_PATH))
+        raise ValueError(
+            f"after {i} steps the actions lead the tool {gap[i]:.3g} away from joint_q of the record: give the "
+            "environment the joint_start, joint_lower, joint_upper and joint_step with which it was recorded"
+        )
 
 
 def tool_distance(record: Record, env: Any) -> float | None:

@@ -114,13 +114,38 @@ def points_of(env: Any, physics: PyTree) -> Array:
 
 
 def without_reset_noise(env: Any) -> Any:
-    """The environment with a ``noise`` of zero, if it has one: every episode begins at ``rest_positions``."""
+    """The environment with its ``noise_fields`` 0, by default ``noise``, so that every episode begins alike.
+
+    Goals may still be drawn: only the soft body, the tools and the robot are compared.
+
+    Raises:
+      ValueError: the environment has no soft body, or its episodes begin differently all the same.
+    """
+    still = _noise_left_out(env)
+    starts = jax.jit(jax.vmap(lambda key: _beginning(still, still.reset(key).physics)))(
+        jax.random.split(jax.random.key(0))
+    )
+    if not all(np.array_equal(a, b, equal_nan=True) for a, b in map(np.asarray, jax.tree.leaves(starts))):
+        raise ValueError(
+            f"episodes of {type(getattr(env, 'unwrapped', env)).__name__} begin differently without the noise of a "
+            "reset, too: name the sizes of what its start draws in noise_fields, or draw nothing"
+        )
+    return still
+
+
+def _noise_left_out(env: Any) -> Any:
     if isinstance(env, _Wrapper):
-        return dataclasses.replace(env, env=without_reset_noise(env.env))
-    noise = getattr(env, "noise", None)
-    if noise is None or not hasattr(env, "replace"):
+        return dataclasses.replace(env, env=_noise_left_out(env.env))
+    names = [name for name in getattr(env, "noise_fields", ("noise",)) if getattr(env, name, None) is not None]
+    if not names or not hasattr(env, "replace"):
         return env
-    return env.replace(noise=jax.tree.map(jnp.zeros_like, noise))
+    return env.replace(**{name: jax.tree.map(jnp.zeros_like, getattr(env, name)) for name in names})
+
+
+def _beginning(env: Any, physics: PyTree) -> list[PyTree]:
+    """What has to be the same at the beginning of a record and of its fit."""
+    moving = ("soft", "rigid", "joint_q", "joint_qd")
+    return [points_of(env, physics), *(getattr(physics, name, None) for name in moving)]
 
 
 __all__ = ["Data", "data_of", "points_of", "regions", "simulated_frames", "up_to", "without_reset_noise"]

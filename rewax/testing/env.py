@@ -11,8 +11,8 @@ from rewax.testing.progress import Progress
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
 _JIT_TOLERANCE = 1e-3
-"""Relative tolerance. A compiled program may fuse and reorder sums in float32, and stiff material amplifies the
-difference: to 2e-4 in a step of HandLift."""
+"""Tolerance relative to the largest number of an array, or to 1 if that is smaller. A compiled program may fuse and
+reorder sums in float32, and stiff material amplifies the difference: to 2e-4 in a step of HandLift."""
 GRADIENT_TOLERANCE = 0.1
 """Relative tolerance. Central differences through contact are no more accurate than this in float32."""
 
@@ -33,22 +33,25 @@ def check_env(
 
     - the environment is a pytree of arrays and numbers;
     - observations match their spec, and states keep their structure, so that ``lax.scan`` can carry them;
-    - ``reset`` depends on its key only, and ``step`` on state and action only;
+    - ``reset`` depends on its key only, and ``step`` on state and action only. It passes if all episodes begin with the
+      same numbers, and says so;
     - ``jit`` and ``vmap`` change results by rounding only;
-    - ``step`` keeps keys of different states different;
+    - ``step`` keeps keys of different states different, and an observation that depends on the key draws anew in each
+      step;
     - the first steps set no bit of ``status``, and a step with NaN in the physics or in the action ends the episode
       with a fatal one;
-    - ``step`` clips actions, never resets, truncates exactly at ``episode_length``, and never truncates a state that
-      terminates;
+    - ``step`` clips actions, to the bit, never resets, truncates exactly at ``episode_length``, and never truncates a
+      state that terminates;
     - the gradient of the reward with respect to the actions is finite and not zero. It and that of each observation,
-      but of sensors, agree with central differences along two directions, unless differences of five sizes do not agree
-      with each other;
+      but of sensors, agree with central differences along two directions, and along the components in which it is
+      exactly zero, unless differences of five sizes do not agree with each other;
     - the results of ``particles`` and ``render_shapes`` can be drawn.
 
     Args:
       env: unbatched environment, without ``AutoReset``.
       seed: seed of initial states and actions.
-      tolerance: largest relative difference by rounding within one step.
+      tolerance: largest difference by rounding within one step, relative to the largest number of an array, or to 1 if
+        that is smaller.
       check_full_episode: also run to ``episode_length``, which may take long.
       gradient_steps: number of steps after a reset within which some action must change some reward.
       gradient_tolerance: largest relative difference of a derivative from a central difference; None: not compared. Use
@@ -72,7 +75,7 @@ def check_env(
     reset, step = traced_reset(env), traced_step(env)
     state = reset(key)
     states.check_first_state(env, state)
-    functions.check_reset_key(reset, state, key)
+    functions.check_reset_key(reset, state, key, say)
     action = random_action(env, jax.random.fold_in(key, 1))
     new = step(state, action)
     states.check_next_state(env, state, new)
@@ -80,8 +83,8 @@ def check_env(
         states.check_pictures(env, each, source)
     say("repeated, and without jit")
     functions.check_purity(env, step, state, action, new, tolerance)
-    functions.check_action_bounds(env, step, state, tolerance)
-    functions.check_step_key(step, state, action)
+    functions.check_action_bounds(env, step, state)
+    functions.check_step_key(step, state, action, new)
     say("three side by side")
     functions.check_vmap(env, reset, step, key, tolerance)
     say(f"gradient through {gradient_steps} steps")

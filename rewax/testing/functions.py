@@ -17,24 +17,44 @@ _Reset = Callable[[Key], State]
 _Step = Callable[[State, Array], State]
 
 
-def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
-    """Checks that equal keys give equal states and different keys give different ones."""
+def check_reset_key(reset: _Reset, state: State, key: Key, say: Callable[[str], None]) -> None:
+    """Checks that equal keys give equal states, and different keys different keys in the state.
+
+    A task may begin all episodes with the same numbers: ``say`` then gets a line.
+    """
     pure = "let reset depend on its key alone"
     check_same(reset(key), state, 0.0, "two resets with one key", pure)
     other = reset(jax.random.fold_in(key, 2))
     differs = any(not np.array_equal(a, b) for a, b in zip(_floats(state), _floats(other), strict=True))
-    assert differs, "reset gives the same state for different keys: draw the initial state from the key"
+    if not differs:
+        say("all episodes begin with the same numbers; if that is not meant, draw the initial state from the key")
     differs = not np.array_equal(jax.random.key_data(state.key), jax.random.key_data(other.key))
     assert differs, "reset leaves the same key in the state for different keys: derive state.key from the argument"
 
 
-def check_step_key(step: _Step, state: State, action: Array) -> None:
-    """Checks that states whose keys differ have different keys after a step."""
-    other = state.replace(key=jax.random.fold_in(state.key, 3))
-    a, b = (jax.random.key_data(step(s, action).key) for s in (state, other))
-    differs = not np.array_equal(a, b)
+_DRAWS = 3
+"""Further steps of which one has to draw other numbers: few choices may agree by chance."""
+
+
+def check_step_key(step: _Step, state: State, action: Array, new: State) -> None:
+    """Checks that states whose keys differ have different keys after a step, and that steps draw different numbers.
+
+    An observation that depends on the key has to change from one step to the next, where nothing but key and step count
+    does.
+    """
+    other = step(state.replace(key=jax.random.fold_in(state.key, 3)), action)
+    differs = not np.array_equal(jax.random.key_data(new.key), jax.random.key_data(other.key))
     assert differs, (
         "step gives the same key for different keys, so that later episodes begin alike: keep state.key, or split it"
+    )
+    stale, later = [name for name in new.obs if not np.array_equal(new.obs[name], other.obs[name])], new
+    for _ in range(_DRAWS):
+        if stale:
+            later = step(state.replace(key=later.key, step_count=later.step_count), action)
+            stale = [name for name in stale if np.array_equal(new.obs[name], later.obs[name])]
+    assert not stale, (
+        f"obs {stale[0]!r} draws the same numbers in every step: split state.key in step and return the other half; "
+        "keep what an episode draws once in physics"
     )
 
 
@@ -82,14 +102,17 @@ def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float)
         check_same(row, step(reset(keys[i]), actions[i]), tolerance, what, alone)
 
 
-def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -> None:
-    """Checks that an action beyond a bound gives the same step as the action at the bound."""
+def check_action_bounds(env: Env, step: _Step, state: State) -> None:
+    """Checks that an action beyond a bound gives the same step as the action at the bound, to the bit.
+
+    One compiled program gives the same bits for the same input, and a tolerance would hide a weak action.
+    """
     spec = env.action_spec
     for bound, direction in ((spec.low, -1.0), (spec.high, 1.0)):
         beyond = step(state, jnp.full(spec.shape, bound + direction * 10.0 * (spec.high - spec.low)))
         check_values(env, beyond, "step with an action beyond its bounds")
         what = f"steps with an action beyond its bound {bound} and at it"
-        check_same(beyond, step(state, jnp.full(spec.shape, bound)), tolerance, what, "clip the action in step")
+        check_same(beyond, step(state, jnp.full(spec.shape, bound)), 0.0, what, "clip the action in step")
 
 
 _NOT_TRUNCATED = (

@@ -18,6 +18,8 @@ _STEPS = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 """Steps of the central differences, in halves of the range of the actions."""
 _SETTLED = 0.05
 """Differences of two steps, one three times the other, that agree to this are those of a smooth function."""
+_NAMED = 5
+"""Components of an action that a message names at most."""
 _ROUNDING = 100.0
 """Changes of a sum below this many units of rounding say nothing."""
 
@@ -27,6 +29,16 @@ class _Weights(NamedTuple):
 
     reward: Array
     obs: dict[str, Array]
+
+
+class _Direction(NamedTuple):
+    """Along which a derivative is compared with differences."""
+
+    along: Array
+    """Change of the actions, in their unit, shape (num_steps, *action_shape)."""
+    size: float
+    """Expected size of the derivative. One that is smaller by cancellation is not expected to be more accurate."""
+    name: str
 
 
 class _Result(NamedTuple):
@@ -79,10 +91,10 @@ class ActionGradient:
         """Checks derivatives against central differences, from ``state``: of the reward, and of each observation.
 
         Policies and values get their gradients through both. Of an observation the sum is compared, with random signs.
-        Those of sensors are left out: they have no gradient unless it is asked for. Each derivative is taken along two
-        directions. A direction passes with the first difference that agrees. It fails if none agrees and the two
-        differences with the smallest steps agree with each other. If they do not either, as where contacts begin within
-        the smallest step, or where rounding hides them, then ``say`` gets a line.
+        Those of sensors are left out: they have no gradient unless it is asked for. Each derivative is taken along the
+        directions of ``_directions``. A direction passes with the first difference that agrees. It fails if none agrees
+        and the two differences with the smallest steps agree with each other. If they do not either, as where contacts
+        begin within the smallest step, or where rounding hides them, then ``say`` gets a line.
 
         Args:
           state: a state some steps after a reset. Rewards may refer to the first steps of an episode.
@@ -99,28 +111,43 @@ class ActionGradient:
     ) -> None:
         gradient, _ = self._at(state, self._actions, weights)
         assert finite(gradient), f"the gradient of {what} with respect to the actions holds a number that is not finite"
-        half = (self._env.action_spec.high - self._env.action_spec.low) / 2
-        signs = jax.random.rademacher(self._key, self._actions.shape, self._actions.dtype)
-        # The derivative along random signs is about as large as this norm. One that is smaller by cancellation is not
-        # expected to be more accurate.
-        norm = half * float(jnp.linalg.norm(gradient))
-        for direction in (half * jnp.sign(gradient), half * signs):
-            derivative = float(jnp.vdot(gradient, direction))
+        for direction in self._directions(gradient):
+            derivative = float(jnp.vdot(gradient, direction.along))
             differences = []
-            for difference in self._differences(state, weights, direction, derivative):
+            for difference in self._differences(state, weights, direction.along, derivative):
                 differences.append(difference)
-                if abs(difference - derivative) <= tolerance * max(abs(difference), abs(derivative), norm):
+                if abs(difference - derivative) <= tolerance * max(abs(difference), abs(derivative), direction.size):
                     break
             else:
+                if not differences and derivative == 0.0:  # the largest step changes nothing
+                    continue
                 settled = np.isclose(*differences[-2:], rtol=_SETTLED, atol=0.0) if len(differences) > 1 else False
                 if not settled:
                     say("differences do not settle (contacts begin or end, or rounding): one direction is not compared")
                     continue
                 raise AssertionError(
-                    f"the derivative of {what} along a direction of their actions is {derivative:.4g}, and central "
-                    f"differences give {differences[-1]:.4g}: a stop_gradient, a rounding, a comparison or a custom "
-                    "derivative cuts or changes a part; if that is meant, check with gradient_tolerance=None"
+                    f"the derivative of {what} along {direction.name} of their actions is {derivative:.4g}, and "
+                    f"central differences give {differences[-1]:.4g}: a stop_gradient, a rounding, a comparison or a "
+                    "custom derivative cuts or changes a part; if that is meant, check with gradient_tolerance=None"
                 )
+
+    def _directions(self, gradient: Array) -> Iterator[_Direction]:
+        """The signs of a gradient, random signs, and random signs where the gradient is exactly zero.
+
+        The last one shows components that are cut. The other components would hide a small one of many.
+        """
+        half = (self._env.action_spec.high - self._env.action_spec.low) / 2
+        signs = half * jax.random.rademacher(self._key, self._actions.shape, self._actions.dtype)
+        nonzero = gradient != 0
+        norm, count = half * float(jnp.linalg.norm(gradient)), int(nonzero.sum())
+        if count:
+            yield _Direction(half * jnp.sign(gradient), norm, "a direction")
+        yield _Direction(signs, norm, "a direction")  # the derivative is about as large as the norm
+        if 0 < count < nonzero.size:
+            zero = np.flatnonzero(~np.asarray(nonzero).reshape(len(nonzero), -1).all(0))
+            names = ", ".join(map(str, zero[:_NAMED])) + ", ..." * (len(zero) > _NAMED)
+            each = norm / count**0.5  # the root mean square of the others
+            yield _Direction(jnp.where(nonzero, 0.0, signs), each, f"components {names}")
 
     def _differences(self, state: State, weights: _Weights, direction: Array, derivative: float) -> Iterator[float]:
         """Central differences, from the largest step to the smallest that exceeds rounding."""

@@ -57,6 +57,24 @@ def test_the_bit_nan_says_that_a_number_is_not_finite():
     assert step(reward=jnp.nan, status=int(Status.CFL)).status == Status.NAN | Status.CFL
 
 
+@pytest.mark.parametrize(
+    ("changes", "status", "name"),
+    [
+        ({"physics": {**PHYSICS, "x": jnp.array([1.0, jnp.nan, 1.0])}}, Status.NAN, "physics['x']"),
+        ({"obs": {**OBS, "b": jnp.asarray(jnp.inf)}}, Status.NAN, "obs['b']"),
+        ({"physics": {**PHYSICS, "y": 2.0}}, Status.OK, "nothing"),
+    ],
+)
+def test_a_reset_that_is_not_finite_says_so_and_its_first_step_ends_the_episode(changes, status, name):
+    parts = {"physics": PHYSICS, "obs": OBS, "metrics": {"m": jnp.ones(())}, "key": jax.random.key(0), **changes}
+    first = first_state(**parts)
+    assert first.status == status and not bool(first.done)
+    assert failed_leaf_name(Known(), int(first.failed_leaf)) == name
+    same = {"physics": first.physics, "obs": first.obs, "reward": first.reward, "metrics": first.metrics}
+    after = next_state(first, **same, episode_length=5)
+    assert after.status == status and bool(after.terminated) == (status != Status.OK) and after.reward == 0.0
+
+
 def test_names_are_those_of_a_task():
     env = rewax.make("CartpoleSwingUp", scale="small")
     assert failed_leaf_name(env, 0) == "physics.rigid.qpos"

@@ -169,6 +169,9 @@ def test_adam_finds_the_same_with_a_loss_of_the_user(fitted):
     for weights in (np.ones((5, 1)), np.ones(3), np.zeros(5)):
         with pytest.raises(ValueError, match="give 5 numbers of at least 0, not all 0"):
             minimize(sliding_block.block(), record, BOTH, one_sided_chamfer, frame_weights=weights)
+    for options in ({"iterations": 0}, {"learning_rate": 0.0}, {"learning_rate": float("nan")}):
+        with pytest.raises(ValueError, match=r"^(iterations|learning_rate) is (0|0.0|nan): give "):
+            minimize(sliding_block.block(), record, BOTH, one_sided_chamfer, **options)
     with pytest.raises(ValueError, match="loss or its gradient is not finite at the median of the priors"):
         minimize(sliding_block.block(), record, BOTH, lambda x, cloud, mask: jnp.nan * x.sum(), iterations=1)
     held = minimize(sliding_block.block(limit=1.2), record, BOTH, one_sided_chamfer, iterations=30)

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import record_cases
 
+import rewax
 from rewax.identify.readers import actions_of, read_folder
 
 trimesh = pytest.importorskip("trimesh", reason="pip install 'rewax[meshes]'")
-ENV = SimpleNamespace(control_dt=0.1, joint_start=np.array([-0.1, 0.0]), joint_step=np.array([0.01, 0.01]))
+ENV = SimpleNamespace(
+    control_dt=0.1, joint_start=np.array([-0.1, 0.0]), joint_step=np.array([0.01, 0.01]),
+    joint_lower=np.array([-0.11, -1.0]), joint_upper=np.array([0.2, 0.1]),
+)  # fmt: skip
 
 
 def write(folder, record, unit=1.0):
@@ -60,6 +64,8 @@ def test_faults_are_told_in_a_sentence(tmp_path):
         "time,x,y\n": "no rows of equal length",
         "time,x,y\n0,0,0\n0.4,0,0\n": "begins 0.1 from joint_start",
         "time,x,y\n0,-0.1,0\n0.1,0.1,0\n0.4,0,0\n": "times as fast as joint_step",
+        "time,x,y\n0,-0.1,0\n0.4,-0.13,0\n": "goes 0.02 beyond joint_lower or joint_upper, .* joint_lower of at most .-0.13,",
+        "time,x,y\n0,-0.1,0\n0.4,-0.1,0.2\n": "goes 0.1 beyond .* joint_upper of at least .-0.1, 0.2.$",
     }.items():
         tool.write_text(text)
         with pytest.raises(ValueError, match=sentence):
@@ -72,3 +78,7 @@ def test_faults_are_told_in_a_sentence(tmp_path):
 def test_actions_follow_the_path():
     path = np.array([[-0.1, 0.0], [-0.095, 0.01], [-0.1, 0.0]])
     np.testing.assert_allclose(actions_of(ENV, path), [[0.5, 1.0], [-0.5, -1.0]], rtol=1e-5)
+    outside = SimpleNamespace(**{**vars(ENV), "joint_lower": np.array([-0.095, 0.0])})
+    np.testing.assert_allclose(actions_of(outside, path[:2]), [[0.5, 1.0]], rtol=1e-5)  # as FluidMove begins at paper
+    with pytest.raises(ValueError, match="the joints of WhipRope follow set points, so no actions"):
+        actions_of(rewax.make("WhipRope", scale="small"), path)

@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import record_cases
 
 import rewax
+from rewax.envs.latency import Latency
+from rewax.envs.sensing import Sensing
 from rewax.identify.record_checks import check_against, check_record, tool_distance, tool_remarks
-from rewax.identify.records import load, save
+from rewax.identify.records import Record, load, save
 
 
 def with_entry(name, index, value):
@@ -75,6 +78,33 @@ def test_a_record_that_does_not_fit_the_environment_is_refused(fault):
     check_against(record, env, particles)
     with pytest.raises(ValueError, match=sentence):
         check_against(dataclasses.replace(record, **change(record)), env, particles)
+
+
+PATHS = [
+    (lambda r: {}, lambda e: {"joint_lower": e.joint_start - 0.006}, "after 2 steps .* tool 0.002 away"),
+    (lambda r: {}, lambda e: {"joint_step": 2.0 * e.joint_step}, "after 1 steps .* tool 0.004 away"),
+    (lambda r: {"joint_q": r.joint_q + 0.1}, lambda e: {}, "after 0 steps .* tool 0.1 away from joint_q"),
+    (lambda r: {"joint_q": r.joint_q[:, :2]}, lambda e: {}, "joint_q has shape .4, 2.: give one number for"),
+]
+"""Changes of the record and of the environment, and what is said."""
+
+
+def test_a_record_of_another_path_of_the_tool_is_refused():
+    """The pin of RollingFlat goes down by 4 mm in each of three steps."""
+    env = rewax.make("RollingFlat", scale="small").replace(joint_step=jnp.array([0.004, 0.004, 0.004]))
+    particles, actions = np.asarray(env.rest_positions), np.tile([0.0, -2.0, 0.0], (3, 1))  # beyond -1: as -1
+    record = Record(
+        times=env.control_dt * np.arange(4), clouds=np.tile(particles, (4, 1, 1)), mask=np.ones((4, len(particles)), bool),
+        actions=actions, control_dt=float(env.control_dt),
+        joint_q=np.asarray(env.joint_start) - 0.004 * np.arange(4)[:, None] * np.array([0.0, 1.0, 0.0]),
+    )  # fmt: skip
+    check_against(record, Sensing(env=env), particles)
+    for of_record, of_env, sentence in PATHS:
+        other = dataclasses.replace(record, **of_record(record))
+        with pytest.raises(ValueError, match=sentence):
+            check_against(other, env.replace(**of_env(env)), particles)
+    faster = env.replace(joint_step=2.0 * env.joint_step)
+    check_against(record, Latency(env=faster, action=1), particles)  # acts one step later
 
 
 def test_the_distance_of_the_tool_is_that_of_its_surface():

@@ -1,11 +1,15 @@
 """The stable part of a prior, and unknowns of the first state, on a task of particles."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import sliding_block
 
 import rewax
+from rewax import struct
 from rewax.envs.history import History
 from rewax.envs.named_sensors import with_sensors
 from rewax.envs.randomize import LogUniform, Uniform
@@ -82,6 +86,23 @@ def test_a_wrapped_task_is_simulated_without_its_reset_noise(env):
     wrapped = without_reset_noise(History(env=with_sensors(env, ("labels",), 8), steps=2))
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(wrapped.noise)) and wrapped.steps == 2
     assert any(np.any(leaf) for leaf in jax.tree.leaves(env.noise))
+
+
+def test_what_a_task_draws_at_its_start_is_left_out_or_named():
+    towel = without_reset_noise(rewax.make("FoldCloth", scale="small"))
+    np.testing.assert_allclose(jax.jit(towel.reset)(jax.random.key(3)).physics.soft.x, towel.rest_positions, atol=1e-6)
+
+    @struct.dataclass
+    class Thrown(sliding_block.SlidingBlock):
+        def reset(self, key):
+            state = sliding_block.SlidingBlock.reset(self, key)
+            return state.replace(physics=state.physics.replace(shift=jax.random.uniform(key)))
+
+    block = sliding_block.block()
+    thrown = Thrown(**{field.name: getattr(block, field.name) for field in dataclasses.fields(block)})
+    with pytest.raises(ValueError, match=r"^episodes of Thrown begin differently .* name the sizes .* in noise_fields"):
+        without_reset_noise(thrown)
+    assert without_reset_noise(block) is block
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rewax.types import Array, Key, Observation, Scalar
 class PointCloud(struct.Replaceable):
     """Which points are observed, with or without velocities and noise.
 
-    The fixed points are every ``stride``-th point, at most ``num_points``. Rewards are computed from them.
+    The fixed points are every ``stride``-th point, at most ``num_points``. Rewards never see random points or noise.
 
     Attributes:
       num_points: largest number of observed points (static).
@@ -45,8 +45,11 @@ class PointCloud(struct.Replaceable):
     def shown(self, obs: Observation, points: tuple[Array, Array], key: Key) -> tuple[Observation, Key]:
         """The observations with ``particle_q`` replaced by the observation of this cloud, and an unused key.
 
+        With random points or noise ``com_q``, if present, becomes the mean of what is observed: the exact mean would
+        reveal what the noise hides.
+
         Args:
-          obs: named observations. ``particle_q``, if present, holds the fixed points.
+          obs: named observations. ``particle_q``, if present, holds the fixed points, and ``com_q`` a mean of points.
           points: positions and velocities of all points, in the frame of ``particle_q``, shape (num_all, 3) each.
           key: draws points and noise.
         """
@@ -55,7 +58,9 @@ class PointCloud(struct.Replaceable):
         seen_key = None
         if self.draws:
             key, seen_key = jax.random.split(key)
-        return {**obs, "particle_q": self.see(*points, seen_key)}, key
+        seen = self.see(*points, seen_key)
+        mean = {"com_q": seen[:, :3].mean(0)} if self.draws and "com_q" in obs else {}
+        return {**obs, **mean, "particle_q": seen}, key
 
     def see(self, positions: Array, velocities: Array, key: Key | None) -> Array:
         """The observed points, shape (num_points, 3), or (num_points, 6) with velocities.

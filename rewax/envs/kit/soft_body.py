@@ -1,6 +1,6 @@
 """Base of tasks with a soft body, whether a robot or prescribed tools move it: observation, status, pictures."""
 
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -21,10 +21,15 @@ Soft: TypeAlias = MPMState | TetState | ThinState
 
 
 class SoftBodyTask(Task):
-    """Base of ``SoftTask`` and ``CoupledTask``. Their physics has the field ``soft``: particles, or vertices."""
+    """Base of ``SoftTask`` and ``CoupledTask``. Their physics has the field ``soft``: particles, or vertices.
+
+    ``noise_fields`` names the fields that are 0 in a task without noise of a reset. ``rewax.identify`` sets them to 0.
+    A task whose ``start`` draws more of its soft body names the sizes of these draws, too.
+    """
 
     scene: Scene
     cloud: PointCloud
+    noise_fields: ClassVar[tuple[str, ...]] = ("noise",)
 
     def points(self, physics: Any) -> tuple[Array, Array]:
         """Positions and velocities of all points, in the frame and the units of the observation, shape (num_points, 3)
@@ -36,7 +41,7 @@ class SoftBodyTask(Task):
         return self.cloud.shown(checked_observation(self, self.observe(physics)), self.points(physics), key)
 
     def observed(self, physics: Any) -> Array:
-        """The fixed points of the cloud, shape (num_points, 3). Rewards are computed from them."""
+        """The fixed points of the cloud, shape (num_points, 3): without noise, for rewards too."""
         return self.cloud.pick(self.points(physics)[0])
 
     def particles(self, physics: Any) -> Array:

@@ -3,7 +3,7 @@
 The towel lies on the ground, shifted and with wrinkles. The hands hold two of its corners.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,7 @@ class FoldCloth(TwoHands):
     flatness: Scalar
     spread: Scalar
     cells: int = struct.static_field()
+    noise_fields: ClassVar[tuple[str, ...]] = ("noise", "wrinkle")
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         amplitude_key, phase_key = jax.random.split(key)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.options import Substeps, number_option, substeps
+from rewax.envs.kit.options import Substeps, integer_option, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.shadow_hand import HandTask, hand_colliders, joint_limits, load_hand
 from rewax.envs.kit.soft_body import Soft
@@ -65,9 +65,18 @@ Gymnasium-Robotics (``DEFAULT_INITIAL_QPOS``), which DexDeform and Rewarped star
 class HandFlip(HandTask):
     """The task; ``rewax.make("HandFlip", scale=...)`` builds it.
 
-    The observed points i and i + n/2, of n points, are mirror images of each other at rest. ``physics.task`` is D0, the
-    mean distance of these pairs at the first step of the episode [m], shape (); before that step it is negative.
+    The particles i and i + n/2, of n particles, are mirror images of each other at rest. ``physics.task`` is D0, the
+    mean distance of the reward's pairs at the first step of the episode [m], shape (); before that step it is negative.
+
+    Attributes:
+      pair_stride: distance between the indices of two pairs of the reward, which does not depend on the cloud (static).
     """
+
+    pair_stride: int = struct.static_field()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        integer_option("pair_stride", self.pair_stride, "give 1 for all mirror pairs, n for every n-th one")
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         return self.at_rest(positions), -jnp.ones((), positions.dtype)
@@ -83,8 +92,9 @@ class HandFlip(HandTask):
         return self.first_distance(physics)
 
     def pair_distance(self, physics: SoftPhysics) -> Array:
-        """Mean distance of observed mirror pairs [m], shape ()."""
-        first, second = jnp.split(self.observed(physics), 2)
+        """Mean distance of every ``pair_stride``-th mirror pair [m], shape ()."""
+        x, half = physics.soft.x, len(physics.soft.x) // 2
+        first, second = (part[:: self.pair_stride] for part in (x[:half], x[half : 2 * half]))
         return jnp.mean(jnp.sqrt(jnp.sum((first - second) ** 2, axis=-1) + 1e-12))
 
     def first_distance(self, physics: SoftPhysics) -> Array:
@@ -138,7 +148,7 @@ def paper(
 
 
 def _hand_flip(scene, hand, steps: Substeps, num_particles: int, *, num_observed: int, **changes) -> HandFlip:
-    r, (lower, upper) = REFERENCE, joint_limits(hand)
+    r, (lower, upper), stride = REFERENCE, joint_limits(hand), num_particles // num_observed
     options = {
         "noise": reset_noise(r["shift_lower"], r["shift_upper"], r["stretch"]),
         "joint_step": jnp.full(len(START), r["joint_step"]),
@@ -154,7 +164,8 @@ def _hand_flip(scene, hand, steps: Substeps, num_particles: int, *, num_observed
         joint_upper=upper,
         num_substeps=steps.num,
         list_every=steps.list_every,
-        cloud=PointCloud(num_points=num_observed, stride=num_particles // num_observed),
+        cloud=PointCloud(num_points=num_observed, stride=stride),
+        pair_stride=stride,
         **options,
     )
 

@@ -34,7 +34,7 @@ DEPTH = 0.075
 FLOAT_SIZE = (0.075, 0.05, 0.075)
 """Edges of the float [m]."""
 FLOAT_START = (0.2, 0.15, 0.2)
-"""Center of the float before the noise of a reset [m]."""
+"""Center of the float at the beginning [m]."""
 PADDLE = (0.025, 0.06, 0.05)
 """Half edges of the paddle [m]. It is two cells of the coarse grid thick, so that no water passes through."""
 

@@ -144,6 +144,9 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
     a, b = (env.step(env.reset(jax.random.key(2)), jnp.ones(1)) for env in (plain, noisy))
     np.testing.assert_array_equal(a.physics.soft.x, b.physics.soft.x)
     assert float(a.reward) == float(b.reward)
+    np.testing.assert_array_equal(a.obs["com_q"], a.physics.soft.x.mean(0))
+    np.testing.assert_allclose(b.obs["com_q"], b.obs["particle_q"][:, :3].mean(0), atol=1e-7)
+    assert np.abs(b.obs["com_q"] - a.obs["com_q"]).max() > 1e-3  # the exact mean is hidden
     check_env(noisy, check_full_episode=False)
 
 

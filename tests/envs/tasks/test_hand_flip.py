@@ -97,6 +97,17 @@ def test_reward_is_the_share_by_which_pairs_came_closer():
     assert float(env.reward(soft_tasks.physics(env, far, task=jnp.asarray(first)))[0]) == -1.0
 
 
+def test_the_reward_is_that_of_the_same_mirror_pairs_whatever_is_observed():
+    first, second = jnp.split(PAPER.observed(soft_tasks.physics(PAPER, PAPER.rest_positions)), 2)
+    pairs = np.linalg.norm(first - second, axis=1).mean()
+    for points in (250, 64, 33):
+        env = PAPER.replace(cloud=PAPER.cloud.replace(num_points=points, stride=3, random=True, noise=0.002))
+        distance = env.pair_distance(soft_tasks.physics(env, PAPER.rest_positions))
+        np.testing.assert_allclose(distance, pairs, rtol=1e-6)
+    with pytest.raises(ValueError, match="pair_stride is 0, but must be an integer of at least 1: give 1 for all"):
+        PAPER.replace(pair_stride=0)
+
+
 def test_the_first_step_sets_the_distance_and_earns_nothing():
     first, second = soft_tasks.run("HandFlip", soft_tasks.start("HandFlip"), 0.5, 2)
     assert float(soft_tasks.start("HandFlip").physics.task) < 0.0
@@ -116,11 +127,10 @@ def test_closing_the_hand_folds_the_dough():
 
 @pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
-    """64 particles between palm and two fingers, three substeps a step, all of them observed."""
+    """64 particles between palm and two fingers, three substeps a step, all of them in pairs of the reward."""
     env = hand_flip.small(softness=60.0)
     env = env.replace(scene=env.scene.replace(colliders=env.scene.colliders[1:9]))
     rest = hand_flip.mirrored_disc((0.5, 0.30, 0.62), 0.08, 0.003, 64)
-    cloud = env.cloud.replace(num_points=64, stride=1)
-    env = env.replace(rest_positions=rest, num_substeps=3, list_every=None, cloud=cloud)
+    env = env.replace(rest_positions=rest, num_substeps=3, list_every=None, pair_stride=1)
     errors = difference_errors(env, num_steps=4, h=1e-7, task=0.06)  # a D0 of its own: it has no derivative
     assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4
