@@ -16,7 +16,7 @@ Simulation" (ICML 2024). Differences:
 
 import dataclasses
 import functools
-from typing import ClassVar, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, Combination, Division, FirstOrderConfig, Optimizer
 from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
-from rewax.agents.legal import Count, Positive
+from rewax.agents.legal import AT_LEAST_2, Positive
 from rewax.agents.optimizers import schedule_at
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import ActorCriticState
@@ -44,7 +44,8 @@ class AHACConfig(FirstOrderConfig):
 
     Attributes:
       horizon: the longest horizon.
-      min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration.
+      min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration; at least 2, because
+        the growth of the gradient compares two states.
       max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks, unless
         a sum of equal rewards grows as fast over it [-].
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
@@ -61,8 +62,8 @@ class AHACConfig(FirstOrderConfig):
     initial_log_std: float = -1.0
     actor_value: Combination = "min"
     horizon: int = 64
-    min_horizon: Count = 8
-    initial_horizon: Count = 32
+    min_horizon: Annotated[int, AT_LEAST_2] = 8
+    initial_horizon: Annotated[int, AT_LEAST_2] = 32
     max_growth: Positive = 1.1
     horizon_rate: Positive = 1.0
 
@@ -177,7 +178,7 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
     Returns:
       The new state, and the metrics ``horizon`` (of the last rollout) and ``growth``.
     """
-    steps = jnp.maximum(jnp.round(state.horizon), 2.0)
+    steps = jnp.round(state.horizon)
     of_a_sum = jnp.log(steps) / (steps - 1.0)  # the gradient of n equal rewards is n times that of the last one
     allowed = jnp.maximum(jnp.log(config.max_growth), of_a_sum)
     excess = jnp.where(jnp.isnan(growth), 0.0, growth - allowed)

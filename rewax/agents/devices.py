@@ -1,7 +1,8 @@
 """Environments sharded over several devices: a mesh with one axis, ``envs``.
 
-A program traced under ``jax.set_mesh(mesh_of(...))`` computes each environment on the device that holds it. Everything
-else is replicated on every device. Without such a mesh nothing here changes a program.
+A program traced under ``jax.set_mesh(mesh_of(...))`` computes each environment on the device that holds it. The steps
+in a replay buffer are sharded alike. Everything else is replicated on every device. Without such a mesh nothing here
+changes a program.
 """
 
 import functools

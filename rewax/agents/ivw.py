@@ -31,7 +31,7 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
-from rewax.agents.gradients import Loss, clip_scale, per_env_gradients, scaled_per_env
+from rewax.agents.gradients import Loss, clip_scale, finite_per_env, per_env_gradients, scaled_per_env
 from rewax.agents.legal import Positive, Share
 from rewax.agents.rollout import rollout, scale_gradient
 from rewax.agents.sapo import SAPOConfig
@@ -118,6 +118,8 @@ def measured_actor_update(
 ) -> tuple[IVWState, Metrics, Rollout]:
     """``first_order.actor_update`` that also measures the variance of each step's gradient.
 
+    Environments whose gradient the actor leaves out do not count in the variance either.
+
     Args:
       networks, state, key: see ``first_order.actor_update``.
       loss: loss of one environment. Its parameters are the actor's, and zeros of shape (horizon, action_size) that it
@@ -130,7 +132,7 @@ def measured_actor_update(
     state, metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
     if config.max_env_grad_norm is not None:  # the variance of the gradients that the actor follows
         nudges = scaled_per_env(nudges, clip_scale(grads, config.max_env_grad_norm))
-    variance = running_variance(state, nudges, decay)
+    variance = running_variance(state, nudges, finite_per_env(losses, grads), decay)
     return state.replace(variance=variance), metrics, rollouts
 
 
@@ -157,25 +159,31 @@ def actor_loss(
     return rollout_loss(networks, common, end, t, t.reward + soft)
 
 
-def running_variance(state: IVWState, gradients: Array, decay: float) -> Array:
-    """The running mean updated with ``step_variance(gradients)``. The first iteration replaces the initial value."""
-    measured = step_variance(gradients)
+def running_variance(state: IVWState, gradients: Array, valid: Array, decay: float) -> Array:
+    """The running mean updated with ``step_variance``. The first iteration replaces the initial value."""
     kept = jnp.where(state.iteration == 0, 0.0, decay)
-    return jnp.where(jnp.isfinite(measured), kept * state.variance + (1.0 - kept) * measured, state.variance)
+    return kept * state.variance + (1.0 - kept) * step_variance(gradients, valid)
 
 
-def step_variance(gradients: Array) -> Array:
+def step_variance(gradients: Array, valid: Array) -> Array:
     """Variance over environments of each step's gradient, summed over the action's components, shape (T,).
 
     Args:
       gradients: gradients with respect to the actions, shape (num_envs, T, action_size). Environments with a
         non-finite gradient are left out.
+      valid: mask of the environments that count, shape (num_envs,), bool.
+
+    Returns:
+      The variance, at most the square root of the largest float, so that ratios and sums of variances do not overflow.
+      A variance that overflows counts as that.
     """
-    kept = jax.vmap(all_finite)(gradients)[:, None, None]
+    kept = (valid & jax.vmap(all_finite)(gradients))[:, None, None]
     count = jnp.maximum(kept.sum(), 1)
     gradients = jnp.where(kept, gradients, 0.0)
     mean = gradients.sum(axis=0) / count
-    return jnp.sum(jnp.where(kept, gradients - mean, 0.0) ** 2, axis=(0, 2)) / jnp.maximum(count - 1, 1)
+    variance = jnp.sum(jnp.where(kept, gradients - mean, 0.0) ** 2, axis=(0, 2)) / jnp.maximum(count - 1, 1)
+    largest = jnp.sqrt(jnp.finfo(variance.dtype).max)
+    return jnp.where(variance < largest, variance, largest)  # a comparison with NaN is false
 
 
 def step_weights(config: IVWConfig, variance: Array) -> Array:

@@ -10,6 +10,9 @@ Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Differences from the
 - Actor and critic have separate encoders.
 - Actions come from a normal distribution squashed by tanh. Theirs come from a normal distribution with a squashed mean,
   and are clipped.
+- The standard deviation is exp(s), for an output s clamped to [-5, 2], and begins at 1. Theirs is
+  0.9 sigmoid(s + 2) + 0.1, and begins at 0.89.
+- Adam's epsilon is 1e-8. Theirs is 1e-5.
 - At a time limit, the value is that of the last observation of the episode.
 - Failed steps are masked.
 - A policy with memory is recomputed through time: minibatches are whole environments, and the memory begins as it was
@@ -256,7 +259,8 @@ def update(networks: Networks, state: PPOState, batch: Batch) -> tuple[PPOState,
     grad, metrics = jax.grad(functools.partial(ppo_loss, networks=networks, batch=batch), has_aux=True)(params)
     (actor, critic), opt = networks.update(1.0, grad, state.actor_opt, params, scale=state.learning_rate)
     state = state.replace(actor_params=actor, critic_params=critic, actor_opt=opt)
-    return state, {**metrics, "actor_grad_norm": optax.tree.norm(grad)}
+    norms = {"actor_grad_norm": optax.tree.norm(grad[0]), "critic_grad_norm": optax.tree.norm(grad[1])}
+    return state, {**metrics, **norms}
 
 
 def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch) -> tuple[Array, Metrics]:

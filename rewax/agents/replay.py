@@ -131,7 +131,8 @@ def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discou
 def return_scale(replay: Replay, discount: float) -> Array:
     """Root mean square of the discounted returns from every stored step to the end of its episode, shape ().
 
-    A return also ends where the buffer ends. Failed steps are masked. If all rewards are zero, the scale is 1.
+    A return also ends at the newest step, and at the last place of the full ring, although the step after it in time is
+    in the first place. Failed steps are masked. If all rewards are zero, the scale is 1.
     """
     steps, position = replay.steps, jnp.arange(replay.capacity)
     newest = (replay.count - 1) % replay.capacity

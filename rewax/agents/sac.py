@@ -44,10 +44,11 @@ class SACConfig(ActorCriticConfig):
 
     Attributes:
       replay_size: capacity of the replay buffer, in steps of all environments together, rounded down to whole
-        iterations.
+        iterations. Several devices share the buffer.
       batch_size: samples per update.
       updates: updates per iteration.
-      warmup_steps: control steps per environment with uniformly random actions before the first update.
+      warmup_steps: control steps per environment with uniformly random actions before the first update. Until then
+        ``critic_loss`` is that of the initial critics, and the other metrics of updates are NaN.
       num_steps: n of the n-step returns.
       target_rate: weight of the new parameters in each update of the target network.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
@@ -172,8 +173,17 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     one_update = functools.partial(update, networks, replay, scale)
     learnt, rows = jax.lax.scan(one_update, start, jax.random.split(update_key, config.updates))
     learnt = select(warming_up, start, learnt)
-    metrics = {**jax.tree.map(jnp.mean, rows), "temperature": jnp.exp(learnt.log_temperature)}
+    metrics = select(warming_up, _before_updates(rows), jax.tree.map(jnp.mean, rows))
+    metrics |= {"temperature": jnp.exp(learnt.log_temperature)}
     return learnt.replace(environments=state.environments, replay=replay), {**episode_metrics, **metrics}
+
+
+def _before_updates(rows: Metrics) -> Metrics:
+    """The metrics of an iteration whose updates are discarded: NaN, but for the first ``critic_loss``.
+
+    That is the loss of the critics that are kept. NaN would count as a failure of the critics.
+    """
+    return {name: row[0] if name == "critic_loss" else jnp.full_like(row[0], jnp.nan) for name, row in rows.items()}
 
 
 def act(

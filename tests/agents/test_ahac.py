@@ -99,9 +99,13 @@ def test_only_the_steps_within_the_horizon_are_counted():
     assert np.all((moved == 4) | (np.asarray(new.environments.state.step_count) < 4))
 
 
-def test_horizons_in_a_wrong_order_are_refused():
+def test_horizons_in_a_wrong_order_and_of_one_step_are_refused():
+    """A horizon of one step would stay, because the growth over it is not known."""
     with pytest.raises(ValueError, match="give them in this order, the smallest first"):
         AHACConfig(horizon=16, initial_horizon=32)
+    with pytest.raises(ValueError, match="min_horizon is 1: give an integer of at least 2"):
+        AHACConfig(min_horizon=1)
+    assert np.isnan(gradient_growth(jnp.ones((1, 4)), transitions(np.zeros((1, 4), bool), np.arange(4)[None] < 1)))
 
 
 def test_minibatches_that_do_not_divide_the_environments_are_refused():

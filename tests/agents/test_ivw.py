@@ -8,10 +8,11 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from agent_cases import CASES, ENV
+from agent_cases import CASES, ENV, agent
 
-from rewax.agents import ivw, sapo
+from rewax.agents import agpo, ivw, sapo
 from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.agpo import AGPOConfig
 from rewax.agents.registry import make_agent
 from rewax.envs.wrappers import AutoReset
 
@@ -43,16 +44,29 @@ def test_a_step_whose_variance_is_zero_counts_as_the_mean_of_the_others():
     np.testing.assert_allclose(weights, 4.0 * inverse / inverse.sum(), rtol=1e-6)
 
 
-def test_the_variance_leaves_out_what_is_not_finite():
-    gradients = jnp.array([[[1.0, 0.0], [0.0, 0.0]], [[3.0, 4.0], [0.0, 1.0]], [[jnp.nan, 1.0], [9.0, 9.0]]])
-    np.testing.assert_allclose(ivw.step_variance(gradients), [2.0 + 8.0, 0.5], rtol=1e-6)
+def test_the_variance_leaves_out_what_is_not_finite_and_what_the_actor_leaves_out():
+    gradients = jnp.array(
+        [[[1.0, 0.0], [0.0, 0.0]], [[3.0, 4.0], [0.0, 1.0]], [[jnp.nan, 1.0], [9.0, 9.0]], [[7.0, 7.0], [7.0, 7.0]]]
+    )
+    valid = jnp.array([True, True, True, False])
+    np.testing.assert_allclose(ivw.step_variance(gradients, valid), [2.0 + 8.0, 0.5], rtol=1e-6)
+
+
+def test_a_variance_that_overflows_counts_as_large():
+    gradients = jnp.array([[3e38, 1.0, 0.0], [-3e38, 2.0, 1.0], [3e38, 4.0, 2.0]])[..., None]
+    variance = ivw.step_variance(gradients, jnp.ones(3, bool))
+    assert np.all(np.isfinite(variance)) and variance[0] > 1e15
+    weights = ivw.step_weights(dataclasses.replace(CONFIG, horizon=3), variance)
+    assert np.all(np.isfinite(weights)) and weights[0] < 0.5 * weights[1:].min()
+    shares = agpo.simulation_shares(AGPOConfig(horizon=3), variance)
+    assert shares[0] < 1e-10 and shares[2] == 1.0
 
 
 @pytest.fixture(scope="module")
 def gradient():
     """A function of the variances: the gradient of one environment's loss with respect to actor parameters and actions."""
     networks = make_actor_critic(ENV, CONFIG)
-    state = make_agent("sapo_ivw", ENV, CONFIG).init(jax.random.key(0))
+    state = agent("sapo_ivw").init(jax.random.key(0))
     one = jax.tree.map(lambda a: a[0], state.environments.state)
     params = (state.actor_params, jnp.zeros((CONFIG.horizon, 1)))
 
@@ -92,13 +106,28 @@ def test_each_step_has_its_weight_and_actions_keep_their_gradient(gradient):
 
 def test_the_variance_is_that_of_clipped_gradients():
     """Each environment's gradient with respect to the actions is scaled like the one that the actor follows."""
-    config = dataclasses.replace(CONFIG, max_env_grad_norm=0.5)
-    networks, state = make_actor_critic(ENV, config), make_agent("sapo_ivw", ENV, config).init(jax.random.key(0))
+    assert_the_first_environment_adds_no_variance(1e6, 1e6, max_env_grad_norm=0.5)
+
+
+@pytest.mark.parametrize(("actor", "constant"), [(1.0, jnp.nan), (jnp.inf, 0.0)])
+def test_the_variance_is_that_of_environments_that_the_actor_follows(actor, constant):
+    """The gradients with respect to the actions are finite, but the loss or the actor's gradient is not."""
+    assert_the_first_environment_adds_no_variance(actor, 1e6, constant)
+
+
+def assert_the_first_environment_adds_no_variance(actor, actions, constant=0.0, **options):
+    """Its gradient has these factors, with respect to the actor and to the actions; those of the others are 1."""
+    networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, **options))
+    state = agent("sapo_ivw").init(jax.random.key(0))
 
     def loss(params, common, env, env_state, key, first):
         del common, env, key
-        scale = jnp.where(env_state.obs["x"][0] == first, 1e6, 1.0)
-        return scale * (jnp.sum(params[1]) + sum(jnp.sum(a) for a in jax.tree.leaves(params[0]))), jnp.zeros(())
+        here = env_state.obs["x"][0] == first
+        of_actor, of_actions, rest = (
+            jnp.where(here, *pair) for pair in ((actor, 1.0), (actions, 1.0), (constant, 0.0))
+        )
+        total = sum(jnp.sum(a) for a in jax.tree.leaves(params[0]))
+        return of_actions * jnp.sum(params[1]) + of_actor * total + rest, jnp.zeros(())
 
     loss = functools.partial(loss, first=float(state.environments.state.obs["x"][0, 0]))
     new, _, _ = ivw.measured_actor_update(networks, state, loss, jax.random.key(1), decay=0.9)

@@ -5,12 +5,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
-from agent_cases import CASES, ENV, trained
+from agent_cases import CASES, ENV, agent, trained
 from scipy import stats
 
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.ppo import Batch, PPOConfig, ppo_loss, shuffled
+from rewax.agents.ppo import Batch, PPOConfig, ppo_loss, shuffled, update
 from rewax.agents.registry import make_agent
 from rewax.agents.returns import td_lambda
 
@@ -57,6 +58,16 @@ def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
     s0, s1 = np.exp(batch.log_std), np.exp(now.log_std)
     kl = (np.log(s1 / s0) + (s0**2 + 0.1**2) / (2 * s1**2) - 0.5).sum(-1)[counts].mean()
     np.testing.assert_allclose(metrics["kl"], kl, rtol=1e-3)
+
+
+def test_the_norms_of_the_gradients_of_actor_and_critic_are_apart():
+    networks, state = make_actor_critic(ENV, CONFIG), agent("ppo").init(jax.random.key(0))
+    batch, _ = batch_of(networks, state.actor_params, jax.random.key(2))
+    loss = lambda *params: ppo_loss(params, networks=networks, batch=batch)[0]  # noqa: E731
+    grads = jax.grad(loss, argnums=(0, 1))(state.actor_params, state.critic_params)
+    _, metrics = update(networks, state, batch)
+    for name, grad in zip(("actor_grad_norm", "critic_grad_norm"), grads, strict=True):
+        np.testing.assert_allclose(metrics[name], optax.tree.norm(grad), rtol=1e-4)
 
 
 def gae(reward, value, next_value, done, discount, lambda_):

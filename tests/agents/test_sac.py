@@ -61,13 +61,20 @@ def test_the_actor_ascends_the_soft_value(start):
 
 def test_nothing_is_learnt_while_actions_are_random(start):
     config = dataclasses.replace(CONFIG, warmup_steps=8)
-    state, _ = sac.make_sac(ENV, config).train_step(agent("sac").init(jax.random.key(0)))
+    warming = sac.make_sac(ENV, config)
+    state, metrics = warming.train_step(agent("sac").init(jax.random.key(0)))
     jax.tree.map(np.testing.assert_array_equal, state.actor_params, start.actor_params)
     jax.tree.map(np.testing.assert_array_equal, state.target_params, start.target_params)
+    unknown = {name for name, value in metrics.items() if np.isnan(value)} - {"return"}
+    assert unknown == {"actor_loss", "actor_grad_norm", "entropy", "value"}
+    first = jax.random.split(jax.random.split(start.key, 3)[2], config.updates)[0]
+    _, of_first = sac.update(make_actor_critic(ENV, config), state.replay, None, state, first)
+    np.testing.assert_allclose(metrics["critic_loss"], of_first["critic_loss"], rtol=1e-5)
     actions = np.asarray(state.replay.steps.action[:4]).ravel()
     assert np.abs(actions).max() < 1.0 and np.std(actions) == pytest.approx(1 / np.sqrt(3), abs=0.2)
     for _ in range(2):
-        state, _ = sac.make_sac(ENV, config).train_step(state)
+        state, metrics = warming.train_step(state)
+    assert all(np.isfinite(metrics[name]) for name in unknown)
     assert any(
         np.any(leaf != 0) for leaf in jax.tree.leaves(jax.tree.map(np.subtract, state.actor_params, start.actor_params))
     )

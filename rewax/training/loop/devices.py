@@ -7,6 +7,7 @@ import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from rewax.agents.devices import AXIS, mesh_of
+from rewax.agents.replay import Replay
 from rewax.training.storage.leaves import is_key, to_numpy
 
 _SEEDS = "seeds"
@@ -14,7 +15,7 @@ _SEEDS = "seeds"
 
 @dataclasses.dataclass(frozen=True)
 class Placement:
-    """Devices of a run: environments are sharded over them, everything else is replicated.
+    """Devices of a run: environments and their steps in a replay buffer are sharded, everything else is replicated.
 
     Attributes:
       mesh: None for one device.
@@ -44,15 +45,23 @@ class Placement:
     def shardings(self, train_state: Any) -> Any:
         """The sharding of each leaf of a training state."""
         assert self.mesh is not None
-        replicated, sharded = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
+        axes = ((), (AXIS,), (None, AXIS))
+        replicated, sharded, ring = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in axes)
 
         def all_of(tree: Any, sharding: NamedSharding) -> Any:
             return jax.tree.map(lambda _: sharding, tree)
 
+        def shared(part: Any) -> Any:
+            """The sharding of a part of the state that is no environment."""
+            if _is_replay(part):
+                return part.replace(steps=all_of(part.steps, ring), count=replicated)
+            return replicated
+
         environments = train_state.environments
         env = all_of(environments.env, replicated if environments.env.axis is None else sharded)
         own = {"state": all_of(environments.state, sharded), "episode_return": sharded, "env": env}
-        return all_of(train_state, replicated).replace(environments=all_of(environments, replicated).replace(**own))
+        shardings = jax.tree.map(shared, train_state, is_leaf=_is_replay)
+        return shardings.replace(environments=all_of(environments, replicated).replace(**own))
 
     def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
         """Lower ``train_step`` for a placed state; the returned state has the same placement."""
@@ -154,13 +163,26 @@ def _count(parts: int | None, wanted: int, name: str) -> int:
 def on_one_device(tree: Any) -> Any:
     """The arrays on one of the devices that hold them, for programs that are not sharded.
 
-    Of environments that are sharded over several processes it is this process's shard.
+    Of a sharded replay buffer, which no such program reads, it is one shard, because the whole may not fit. Of
+    environments that are sharded over several processes it is this process's shard.
     """
     arrays = [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)]
     if not all(array.is_fully_addressable for array in arrays):
-        return jax.tree.map(lambda a: a.addressable_data(0) if isinstance(a, jax.Array) else a, tree)
+        return _first_shard(tree)
     devices = next((array.devices() for array in arrays), set())
-    return tree if len(devices) <= 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
+    if len(devices) <= 1:
+        return tree
+    first = min(devices, key=lambda device: device.id)
+    tree = jax.tree.map(lambda part: _first_shard(part) if _is_replay(part) else part, tree, is_leaf=_is_replay)
+    return jax.device_put(tree, first)
+
+
+def _first_shard(tree: Any) -> Any:
+    return jax.tree.map(lambda a: a.addressable_data(0) if isinstance(a, jax.Array) else a, tree)
+
+
+def _is_replay(part: Any) -> bool:
+    return isinstance(part, Replay)
 
 
 __all__ = ["ONE_DEVICE", "Placement", "SeedPlacement", "on_one_device", "placement", "seed_placement"]

@@ -175,7 +175,8 @@ class Run:
         if bad := self.finite.first_bad(new):
             self.failure = f"iteration {iteration} made {bad} of the training state infinite or NaN: {_REMEDY}"
             if self._consumes:
-                self.train_state = checkpoint.restore(self.run_dir, new)
+                # Not sharded: placing arrays on devices of other processes would wait for these processes.
+                self.train_state = checkpoint.restore(self.run_dir, jax.eval_shape(lambda state: state, new))
             else:
                 self._leader.back()
             return

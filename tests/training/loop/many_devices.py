@@ -18,7 +18,7 @@ from toys import PointMass, point_mass  # noqa: E402
 from rewax import struct  # noqa: E402
 from rewax.agents.registry import algorithm  # noqa: E402
 from rewax.training.config import TrainConfig  # noqa: E402
-from rewax.training.loop.devices import placement  # noqa: E402
+from rewax.training.loop.devices import on_one_device, placement  # noqa: E402
 from rewax.training.loop.seeds import train_seeds  # noqa: E402
 from rewax.training.loop.train import train  # noqa: E402
 
@@ -92,6 +92,20 @@ def compare(a, b):
         np.testing.assert_allclose(x, y, rtol=2e-3, atol=2e-4)
 
 
+def check_program(agent):
+    """No device gets the environments of another, nor their steps in a replay buffer."""
+    where = placement(8, 2)
+    state = where.place(jax.jit(agent.init)(jax.random.key(0)))
+    program = where.lowered(agent.train_step, state).compile().as_text()
+    assert " all-reduce(" in program and " all-gather(" not in program
+    if agent.name == "sac":
+        sizes = [shard.data.shape[:2] for shard in state.replay.steps.action.addressable_shards]
+        assert sizes == [(state.replay.capacity, 4)] * 2
+        one = on_one_device(state)
+        assert all(len(leaf.devices()) == 1 for leaf in jax.tree.leaves(one))
+        assert len(one.environments.episode_return) == 8 and one.replay.steps.action.shape[:2] == sizes[0]
+
+
 def main():
     with tempfile.TemporaryDirectory() as folder:
         for name in sys.argv[1:]:
@@ -107,11 +121,8 @@ def main():
             np.testing.assert_allclose(earns, earns_too, rtol=1e-3)
         run("sapo", 8, f"{folder}/resumed", iterations=2)
         compare(run("sapo", 1, f"{folder}/resumed", resume=True), run("sapo", 1, f"{folder}/sapo-1b"))
-    _, agent = make("sapo")
-    where = placement(8, 2)
-    state = where.place(jax.jit(agent.init)(jax.random.key(0)))
-    program = where.lowered(agent.train_step, state).compile().as_text()
-    assert " all-reduce(" in program and " all-gather(" not in program
+    for name in ("sapo", "sac"):
+        check_program(make(name)[1])
     print("the same on one and on several devices")
 
 

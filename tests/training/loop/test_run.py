@@ -97,6 +97,22 @@ def test_a_poisoned_training_state_is_never_kept(tmp_path):
     assert result.evaluation == {} and result.failure
 
 
+def test_a_consumed_training_state_is_restored_without_the_other_processes(tmp_path, monkeypatch):
+    """To place arrays on devices of other processes is a command to them, which nobody sends."""
+
+    def poison(state, metrics):
+        return state.replace(bias=jnp.where(state.iteration == 3, jnp.nan, state.bias)), metrics
+
+    def restored(run_dir, like):
+        assert [leaf for leaf in jax.tree.leaves(like) if getattr(leaf, "sharding", None) is not None] == []
+        return restore(run_dir, like)
+
+    restore = checkpoint.restore
+    monkeypatch.setattr(checkpoint, "restore", restored)
+    result, _ = run(tmp_path, SOUND, stepping(poison)._replace(consumes=True), num_iterations=4)
+    assert "iteration 3 made .bias" in result.failure and int(result.train_state.iteration) == 2
+
+
 def test_critics_whose_loss_is_nan_stop_the_run(tmp_path):
     def lose(state, metrics):
         return state, {**metrics, "critic_loss": jnp.where(state.iteration > 3, jnp.nan, 1.0)}
