@@ -23,8 +23,9 @@ class Status(enum.IntFlag):
     CFL = 4
     """A particle crosses more than one cell per substep: the result is unreliable. Not fatal."""
     INACTIVE_NODES = 8
-    """A step needs more nodes than the scene's ``max_active_nodes``, or a particle moves by more than a cell in such a
-    step: the result is unreliable. Give a larger number, or shorter steps. Not fatal."""
+    """A step needs more nodes than the scene's ``max_active_nodes``, or a particle at its end is more than a cell (the
+    scene's ``reach``) away from where it was at the beginning: the result is unreliable. A particle that moves further
+    and returns within the step is not seen. Give a larger number, or shorter steps. Not fatal."""
     INVERTED = 16
     """A particle is flattened or inverted (det F <= 0): the time step is too long for its motion, or it is crushed. Not
     fatal."""

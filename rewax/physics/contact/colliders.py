@@ -170,8 +170,8 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
       before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
       dt: duration of the substep [s].
 
-    Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes. The onset of contact at
-      influence 0.1 is a step that no derivative sees.
+    Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes; for u_n = 0 that of a
+      node that leaves. The onset of contact at influence 0.1 is a step that no derivative sees.
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
     start, end = shape_pose(collider, before), shape_pose(collider, after)
@@ -264,7 +264,9 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
     """Node velocities after contact: the law of ``apply_collider``. Gradient: exact."""
     influence, body = touch.influence, touch.velocity
     normal, relative = materialize((touch.normal, cp.subtract(velocity, body)))
-    approach = materialize(jnp.minimum(cp.dot(relative, normal), 0.0))
+    separating = cp.dot(relative, normal)
+    # At 0 ``minimum`` has half of the derivative, and contacts one after the other multiply these halves.
+    approach = materialize(jnp.where(separating < 0, separating, 0.0))
     tangential = cp.vector(lambda i: relative[i] - approach * normal[i])
     slipping = materialize(friction_factor(tangential, approach, touch.friction))
     active = influence > MIN_INFLUENCE

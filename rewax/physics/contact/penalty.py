@@ -141,7 +141,7 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
       friction: Coulomb coefficient [-].
 
     Gradient: exact, finite at rest. Without an onset, damping and friction start with a step where the vertex touches:
-      no derivative sees its height, damping |v_n|. At Coulomb's limit the derivative is that of sticking.
+      no derivative sees its height, damping |v_n|. At a Coulomb limit above 0 the derivative is that of sticking.
     Source: NVIDIA Warp's contact of particles with the ground; damping by depth as in DiffRL's dflex.
     """
     push, drag, v_t, *_ = penalty_response(contact, distance, normal, velocity, friction)
@@ -181,7 +181,8 @@ def penalty_response(
     friction_damping = share * contact.friction_damping
     slides = friction_damping * cp.safe_sqrt(square) > limit
     speed = jnp.sqrt(jnp.where(slides, square, 1.0))
-    drag = jnp.where(slides, limit / speed, jnp.where(c < 0, friction_damping, 0.0))
+    # A limit of 0 allows no drag at rest either, where nothing slides.
+    drag = jnp.where(slides, limit / speed, jnp.where(limit > 0, friction_damping, 0.0))
     return PenaltyResponse(push, drag, v_t, v_n, c, damping)
 
 

@@ -17,7 +17,7 @@ from rewax.lowering.fusion import materialize
 from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.patches import Wrench
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.fields import checked, instance, integer
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
@@ -84,6 +84,15 @@ def add_contact(system: System, arm: Vec3, normal: Vec3, along: Array, whole: Ar
         system.c + twice[3:, 3:] + jnp.trace(second) * eye - second,
         system.right + right,
     )
+
+
+def add_contact_matrices(system: System, arm: Vec3, weights: Mat3, lost: Vec3) -> System:
+    """``add_contact`` for points of any symmetric W [kg], components of shape (num_points,). Gradient: exact."""
+    turned = [cp.cross(arm, row) for row in weights]
+    twice = [cp.cross(arm, column) for column in zip(*turned, strict=True)]
+    a, b, c = (jnp.stack([jnp.stack([jnp.sum(e) for e in row]) for row in m]) for m in (weights, turned, twice))
+    right = jnp.stack([jnp.sum(e) for e in (*lost, *cp.cross(arm, lost))])
+    return System(system.a + a, system.b + b, system.c + c, system.right + right)
 
 
 class Received(NamedTuple):

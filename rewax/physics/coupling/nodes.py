@@ -24,13 +24,13 @@ from rewax.physics.contact.colliders import (
 )
 from rewax.physics.contact.motion import Motion, Placed, placed, velocity_at
 from rewax.physics.contact.patches import WALLS
-from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
+from rewax.physics.coupling.exchange import Received, System, add_contact, add_contact_matrices, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene
 from rewax.physics.mpm.stepping import Deformed, free_velocity, from_nodes, to_nodes, where_mass
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.types import Array, Scalar
 
@@ -67,13 +67,22 @@ class NodeContact(NamedTuple):
         A node of mass m and influence w has W = m w (s n n^T + (1 - s) 1). Here s is the share of its tangential
         velocity after friction. Sticking nodes (s = 0) take their whole velocity from the body, sliding ones the normal
         component.
+
+        Under ``Overlap.SEQUENTIAL`` the colliders of one body act in turn: each changes the velocity that the earlier
+        ones leave. If they leave P u of a velocity u relative to the body, then W = m (1 - P), and P is the product of
+        all 1 - W / m of single colliders. The system takes the symmetric part of W. That is all of it where the normals
+        are equal or perpendicular, and where nodes stick. Where nodes slide between normals at another angle, the
+        body's velocity after contact differs from the predicted one. Momentum is conserved in any case.
         """
-        alone = self.scene.overlap is Overlap.SEQUENTIAL or len(self.touches) < 2
-        masses = [self.mass] * len(self.touches)
-        if not alone:
-            masses = [share * self.mass for share in nearest(list(self.touches))[1]]
+        in_turn = self.scene.overlap is Overlap.SEQUENTIAL
         system = no_system(self.mass.dtype)
         arm = cp.vector(lambda i: self.nodes.position[i] - origin[i])
+        own = [t for c, t in zip(self.scene.colliders, self.touches, strict=True) if c.body == body]
+        if in_turn and len(own) > 1:
+            return add_contact_matrices(system, arm, *_several(own, self.velocity, self.mass))
+        masses = [self.mass] * len(self.touches)
+        if not in_turn and len(self.touches) > 1:
+            masses = [share * self.mass for share in nearest(list(self.touches))[1]]
         for collider, t, mass in zip(self.scene.colliders, self.touches, masses, strict=True):
             if collider.body == body:
                 system = _add_touch(system, arm, mass, self.velocity, t)
@@ -164,6 +173,33 @@ def _weights(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple
     sliding = friction_factor(tangential, approach, t.friction)
     weight = jnp.where((approach < 0) & (t.influence > MIN_INFLUENCE), mass * t.influence, 0.0)
     return weight * sliding, weight * (1.0 - sliding)
+
+
+def _several(touches: list[Touch], velocity: Vec3, mass: Array) -> tuple[Mat3, Vec3]:
+    """W of a body's colliders that act in turn [kg], and the momentum that it takes from the nodes [kg m/s]."""
+    relative, one, zero = cp.subtract(velocity, touches[0].velocity), jnp.ones_like(mass), jnp.zeros_like(mass)
+    left = cp.matrix(lambda i, j: one if i == j else zero)
+    for t in touches:
+        nodes = (_without_friction(t), velocity, one)
+        left = _left(None, (left, t.normal, *_weights(t.friction, nodes)))
+        velocity = _after(t.friction, nodes)[0]
+    return _symmetric(None, (left, relative, mass))
+
+
+@pointwise
+def _left(_: None, nodes: tuple[Mat3, Vec3, Array, Array]) -> Mat3:
+    """The matrix P after another collider."""
+    left, normal, along, whole = nodes
+    pushed = cp.vector(lambda j: along * (normal[0] * left[0][j] + normal[1] * left[1][j] + normal[2] * left[2][j]))
+    return cp.matrix(lambda i, j: (1.0 - whole) * left[i][j] - normal[i] * pushed[j])
+
+
+@pointwise
+def _symmetric(_: None, nodes: tuple[Mat3, Vec3, Array]) -> tuple[Mat3, Vec3]:
+    """The symmetric part of m (1 - P), and its product with the relative velocity."""
+    left, relative, mass = nodes
+    weights = cp.matrix(lambda i, j: mass * (float(i == j) - 0.5 * (left[i][j] + left[j][i])))
+    return weights, cp.matvec(weights, relative)
 
 
 def _add_touch(system: System, arm: Vec3, mass: Array, velocity: Vec3, t: Touch) -> System:

@@ -332,7 +332,8 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
 
 
 def nodes_missed(scene: MPMScene, before: Array, after: Array) -> Array:
-    """Whether ``nodes_of_step(scene, before)`` lacks nodes, or particles moved too far for it, shape (), bool."""
+    """Whether ``nodes_of_step(scene, before)`` lacks nodes, or particles are too far for it after the step, shape (),
+    bool."""
     if scene.max_active_nodes is None:
         return jnp.bool_(False)
     too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes

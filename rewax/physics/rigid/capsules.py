@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array
 
 _PARALLEL = 1e-6
@@ -24,7 +25,7 @@ def sphere_capsule(
 
     Gradient: exact, finite everywhere. Where the sphere's centre lies on the axis the normal is zero.
     """
-    offset = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[..., 1], size[..., 1])
+    offset = clipped(jnp.sum((center - other_center) * axis, axis=-1), -size[..., 1], size[..., 1])
     return _spheres(center, radius, other_center + offset[..., None] * axis, size[..., 0])
 
 
@@ -60,9 +61,9 @@ def capsule_capsule(
     along, other_along = jnp.sum(axis * gap, axis=-1), jnp.sum(other_axis * gap, axis=-1)
     # Offsets along the axes from the centers: first as if the second axis were endless, then each from the other.
     offset = (along - cosine * other_along) / (1.0 - cosine * cosine + parallel)
-    offset = jnp.clip(offset, -length, length)
-    other_offset = jnp.clip(cosine * offset - other_along, -other_length, other_length)
-    offset = jnp.clip(cosine * other_offset + along, -length, length)
+    offset = clipped(offset, -length, length)
+    other_offset = clipped(cosine * offset - other_along, -other_length, other_length)
+    offset = clipped(cosine * other_offset + along, -length, length)
     nearest = center + offset[..., None] * axis
     return _spheres(nearest, size[..., 0], other_center + other_offset[..., None] * other_axis, other_size[..., 0])
 

@@ -52,7 +52,7 @@ def solve_accelerations(
       force: generalized forces without those of the constraints, shape (num_dofs,).
       rows: the constraints.
       start: first guess, shape (num_dofs,); only the number of iterations depends on it.
-      max_iterations: largest number of Newton steps.
+      max_iterations: largest number of Newton steps. If they do not suffice, the last iterate is returned.
       num_bounded: number of leading rows that can have a finite upper bound.
 
     Gradient: none; see ``implicit_correction``.

@@ -19,6 +19,7 @@ import numpy as np
 
 from rewax.lowering.machine import interpreted
 from rewax.physics.numerics.arguments import check_instance, check_integer, real_array
+from rewax.physics.numerics.clipping import clipped
 from rewax.physics.rigid import solver as constraint_solver
 from rewax.physics.rigid.forces import (
     applied_forces,
@@ -93,7 +94,8 @@ def step(
       solver takes the model's ``iterations``, but at least 50, because the derivative assumes that it has converged.
 
     Raises:
-      ValueError: a shape differs from the model's, or an argument is not a number.
+      ValueError: a shape differs from the model's, an argument is not a number, or the model or the state has another
+        precision than JAX has now.
     """
     check_state(model, state)
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
@@ -107,11 +109,18 @@ def step(
 def checked_inputs(
     model: RigidModel, ctrl: Array | None, wrenches: Array | None, num_substeps: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Controls and wrenches of ``step`` as arrays, zero by default.
+    """Controls and wrenches of ``step`` as arrays of the state's dtype, zero by default.
 
     Raises:
-      ValueError: a shape differs from the model's, or an argument is not a number.
+      ValueError: a shape differs from the model's, an argument is not a number, or the model or the state has another
+        precision than JAX has now.
     """
+    own, now = model.parameters["qpos0"].dtype, jnp.zeros(()).dtype
+    if not own == dtype == now:
+        raise ValueError(
+            f"the model has numbers of {own} and its state of {dtype}, but JAX computes with {now} here: load the "
+            "model and make its state while jax.enable_x64 is as now"
+        )
     ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")  # pyright: ignore[reportAssignmentType]
     wrenches = (  # pyright: ignore[reportAssignmentType]
         jnp.zeros((model.num_bodies, 6), dtype)
@@ -260,7 +269,8 @@ def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
     span = np.where(exact, tau * -np.expm1(-mj.opt.timestep / tau), mj.opt.timestep)
     limited = mj.actuator_actlimited[actuator].astype(bool)
     low, high = (np.where(limited, mj.actuator_actrange[actuator, i], (-np.inf, np.inf)[i]) for i in (0, 1))
-    return jnp.clip(act + jnp.asarray(span, act.dtype) * act_dot, low, high).astype(act.dtype)
+    low, high, span = (jnp.asarray(a, act.dtype) for a in (low, high, span))
+    return clipped(act + span * act_dot, low, high)
 
 
 __all__ = ["check_status", "checked_inputs", "initial_state", "rates", "step"]

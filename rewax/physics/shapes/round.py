@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.clipping import clipped
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape, around_origin, inverse_distance
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
@@ -62,7 +63,7 @@ class Capsule(Shape):
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. On the axis, up to rounding errors, normal and gradient are zero."""
-        nearest = jnp.clip(p[1], -self.half_length, self.half_length)
+        nearest = clipped(p[1], -self.half_length, self.half_length)
         return _round((p[0], p[1] - nearest, p[2]), self.radius)
 
     def bounding_box(self) -> tuple[Array, Array]:

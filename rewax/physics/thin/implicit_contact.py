@@ -155,7 +155,7 @@ def _touch_blocks(shared: Any, given: Any) -> Blocks:
 def friction_slope(sliding: Sliding, u: Vec3, dt: Array) -> Vec3:
     """Minus the force of friction after a relative displacement u [N].
 
-    Gradient: exact; at Coulomb's limit that of sticking.
+    Gradient: exact; at a Coulomb limit above 0 that of sticking.
     """
     along = _tangential(sliding.normal, u)
     return cp.scale(friction_stiffness(sliding, u, dt), along)
@@ -166,7 +166,8 @@ def friction_stiffness(sliding: Sliding, u: Vec3, dt: Array) -> Array:
     along = _tangential(sliding.normal, u)
     square = cp.dot(along, along)
     slides = sliding.grip * cp.safe_sqrt(square) > sliding.limit * dt
-    return jnp.where(slides, sliding.limit / jnp.sqrt(jnp.where(slides, square, 1.0)), sliding.grip / dt)
+    held = jnp.where(sliding.limit > 0, sliding.grip / dt, 0.0)
+    return jnp.where(slides, sliding.limit / jnp.sqrt(jnp.where(slides, square, 1.0)), held)
 
 
 def _tangential(n: Vec3, u: Vec3) -> Vec3:

@@ -155,7 +155,7 @@ def shared_out(
     limit, grip = law.friction * push, law.friction_damping * share
     speed2 = cp.dot(v_t, v_t)
     slides = grip * cp.safe_sqrt(speed2) > limit
-    drag = jnp.where(slides, limit / jnp.sqrt(jnp.where(slides, speed2, 1.0)), jnp.where(depth > 0, grip, 0.0))
+    drag = jnp.where(slides, limit / jnp.sqrt(jnp.where(slides, speed2, 1.0)), jnp.where(limit > 0, grip, 0.0))
     force = cp.vector(lambda i: push * n[i] - drag * v_t[i])
     return tuple(cp.scale(w, force) for w in weights)
 

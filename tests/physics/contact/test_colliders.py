@@ -82,6 +82,21 @@ def test_a_node_that_moves_straight_down_is_held_for_small_tangential_velocities
     np.testing.assert_allclose(slope(-down), [1.0, 0.0, 1.0], rtol=1e-6)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_without_normal_velocity_the_derivative_is_that_of_leaving(x64, friction):
+    """Also after three contacts."""
+
+    def after(velocity):
+        for _ in range(3):
+            velocity = after_contact(ground(friction), jnp.array([UNDER]), velocity[None], REST, REST)[0]
+        return velocity
+
+    along, up = jnp.array([0.6, 0.0, 0.0]), jnp.array([0.3, 1.0, 0.2])
+    np.testing.assert_allclose((after(along + 1e-6 * up) - after(along)) / 1e-6, up, rtol=1e-9)
+    np.testing.assert_allclose(jax.jvp(after, (along,), (up,))[1], up, rtol=1e-12)
+    np.testing.assert_allclose(jax.vjp(after, along)[1](up)[0], up, rtol=1e-12)
+
+
 def test_separating_is_untouched(x64):
     np.testing.assert_array_equal(contact(ground(), UNDER, [3.0, 2.0, 4.0]), [3.0, 2.0, 4.0])
 

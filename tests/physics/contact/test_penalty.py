@@ -141,6 +141,17 @@ def test_derivatives_at_rest_are_finite(x64):
         assert np.isfinite(gradient).all()
 
 
+@pytest.mark.parametrize(("friction", "slope"), [(0.0, 0.0), (0.5, -10.0)])
+def test_without_friction_nothing_holds_a_vertex_that_does_not_slide(x64, central_difference, friction, slope):
+    def drag(speed):
+        return on_ground([[0.0, 0.04, 0.0]], [[speed, -1.0, 0.0]], LAW.replace(friction=friction))[0, 0]
+
+    still = jnp.asarray(0.0)
+    assert jax.grad(drag)(still) == jax.jvp(drag, (still,), (1.0,))[1] == slope
+    np.testing.assert_allclose(central_difference(drag, still, 1.0), slope, rtol=1e-9)
+    assert jax.grad(drag)(jnp.zeros((), jnp.float32)) == slope
+
+
 def test_a_body_at_rest_does_not_rub_what_is_at_rest():
     """In float32, far from the origin and with a short substep: no velocity comes from rounding."""
     still = Pose(jnp.array([1.3, 0.7, -2.1]), jnp.eye(3))

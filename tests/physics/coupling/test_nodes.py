@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,17 +14,18 @@ from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling.nodes import NodeContact
 from rewax.physics.mpm import Grid
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.rotations import skew
 from rewax.physics.shapes import Sphere
 
 ORIGIN = np.array([0.1, -0.2, 0.3])
 
 
-def scene_of(friction, overlap=Overlap.SEQUENTIAL):
+def scene_of(friction, overlap=Overlap.SEQUENTIAL, offsets=((0.0, 0.0, 0.0),)):
     ball = Collider(shape=Sphere(radius=jnp.asarray(0.5)), friction=jnp.asarray(friction), softness=jnp.asarray(50.0))
     return mpm.make_scene(
         grid=Grid(shape=(8, 8, 8), spacing=0.5), dt=1e-3, particle_volume=jnp.asarray(1e-3), overlap=overlap,
         material=flat_material(youngs_modulus=jnp.asarray(1e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1e3)),
-        colliders=(ball,),
+        colliders=tuple(ball.replace(offset=jnp.asarray(offset)) for offset in offsets),
     )  # fmt: skip
 
 
@@ -45,11 +47,22 @@ def still():
     return Motion(jnp.zeros((3, 3)), jnp.zeros(3))
 
 
-def contact_of(scene):
+def motion_of(twist):
+    """The motion of a body with a velocity at the origin of moments and an angular velocity."""
+    turn = skew(twist[3:])
+    return Motion(turn, twist[:3] - turn @ ORIGIN)
+
+
+def contact_of(scene, scale=1.0):
     """Nodes that meet the ball at rest, and their positions, masses and velocities."""
     position, mass, velocity = nodes()
+    position = tuple(scale * a for a in position)
     contact = NodeContact(scene, _Places(position), None, mass > 0, mass, velocity)
     return contact.meet(Pose(jnp.zeros((1, 3)), jnp.eye(3)[None]), [still()], None), position, mass, velocity
+
+
+def matrix_of(system):
+    return np.block([[system.a, system.b], [system.b.T, system.c]])
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5, 100.0])
@@ -79,8 +92,7 @@ def test_the_system_is_the_sum_over_approaching_nodes(x64, friction):
         J = np.concatenate([np.eye(3), -np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])], axis=1)
         matrix += float(mass[k]) * w * J.T @ W @ J
         right += float(mass[k]) * w * J.T @ W @ v
-    whole = np.block([[np.asarray(system.a), np.asarray(system.b)], [np.asarray(system.b).T, np.asarray(system.c)]])
-    np.testing.assert_allclose(whole, matrix, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(matrix_of(system), matrix, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(system.right, right, rtol=1e-10, atol=1e-12)
 
 
@@ -100,3 +112,69 @@ def test_bodies_that_move_otherwise_take_otherwise(x64):
     np.testing.assert_allclose(found.velocity, expected.velocity, rtol=1e-12)
     np.testing.assert_allclose(given, wanted, rtol=1e-12)
     assert not np.allclose(given, contact.exchange([None], origins)[1], rtol=0.1)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5, 100.0])
+@pytest.mark.parametrize("overlap", Overlap)
+def test_a_node_counts_once_in_several_equal_colliders_of_a_body(x64, friction, overlap):
+    """All nodes are inside, where the first collider does everything."""
+    one, three = (
+        contact_of(scene_of(friction, overlap, offsets=[(0.0, 0.0, 0.0)] * n), scale=0.8)[0].system(0, ORIGIN)
+        for n in (1, 3)
+    )
+    for found, expected in zip(three, one, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+TWO = ((0.0, 0.0, 0.0), (0.1, 0.05, -0.1))
+"""Offsets of two balls that overlap, so that their normals differ and nodes feel one or both."""
+
+
+@pytest.mark.parametrize("friction", [0.0, 100.0])
+def test_the_system_of_several_colliders_is_the_symmetric_part_of_the_derivative(x64, friction):
+    """Of the impulse on the body by its own velocity. Nodes slide freely or stick: friction's share is constant."""
+    contact = contact_of(scene_of(friction, offsets=TWO))[0]
+
+    def received(twist):
+        return jnp.concatenate(contact.exchange([motion_of(twist)], jnp.asarray(ORIGIN)[None])[1], axis=1)[0]
+
+    slope = -jax.jacfwd(received)(jnp.zeros(6))
+    found = matrix_of(contact.system(0, ORIGIN))
+    np.testing.assert_allclose(found, 0.5 * (slope + slope.T), rtol=1e-9, atol=1e-9 * np.abs(found).max())
+    assert not np.allclose(found, matrix_of(contact_of(scene_of(friction))[0].system(0, ORIGIN)), rtol=0.1)
+
+
+def test_a_body_without_mass_goes_with_nodes_that_move_as_one(x64):
+    contact, position, _, _ = contact_of(scene_of(0.5, offsets=TWO))
+    velocity, spin = np.array([0.3, -1.0, 0.2]), np.array([0.5, 0.1, -0.4])
+    field = velocity[:, None] + np.cross(spin, (np.stack(position) - ORIGIN[:, None]).T).T
+    system = contact._replace(velocity=tuple(jnp.asarray(field))).system(0, ORIGIN)
+    np.testing.assert_allclose(np.linalg.solve(matrix_of(system), system.right), [*velocity, *spin], rtol=1e-9)
+
+
+def test_derivatives_through_contact_with_two_colliders_of_a_body(
+    x64, derivatives, random_like, central_difference, relative_error, inner
+):
+    """Of the velocities after contact with a free ball of 2 kg, by nodes, motion, friction and sizes."""
+    scene, (position, mass, velocity) = scene_of(0.4, offsets=TWO), nodes()
+
+    def after(arguments):
+        colliders, mass, velocity, twist = arguments
+        contact = NodeContact(scene.replace(colliders=colliders), _Places(position), None, mass > 0, mass, velocity)
+        contact = contact.meet(Pose(jnp.zeros((1, 3)), jnp.eye(3)[None]), [motion_of(twist)], None)
+        system = contact.system(0, ORIGIN)
+        a, b, c = system.a + 2.0 * jnp.eye(3), system.b, system.c + 0.3 * jnp.eye(3)
+        changed = twist + jnp.linalg.solve(jnp.block([[a, b], [b.T, c]]), system.right)
+        contact, received = contact.exchange([motion_of(changed)], jnp.asarray(ORIGIN)[None])
+        return changed, contact.velocity, received
+
+    arguments = (scene.sized_colliders, mass, velocity, jnp.array([0.1, -0.2, 0.1, 0.3, 0.2, -0.1]))
+    direction, program = random_like(1, arguments), derivatives(after)
+
+    def chosen(value):
+        return random_like(2, value)
+
+    _, forward, weights, reverse = program(arguments, direction, chosen)
+    difference = central_difference(lambda a: program(a, direction, chosen)[0], arguments, direction, 1e-7)
+    assert relative_error(forward, difference) < 1e-6
+    assert inner(reverse, direction) == pytest.approx(inner(weights, forward), rel=1e-10)

@@ -170,6 +170,24 @@ def test_the_predicted_velocity_is_the_one_that_follows(x64):
     assert np.abs(change).max() > 0.1
 
 
+def test_a_body_without_friction_feels_no_drag(x64, derivatives):
+    """It lies on the block and begins to slide: neither the impulse nor its derivative has a tangential part."""
+    shapes = (Collider(shape=Box(half_size=jnp.asarray(HALF)), friction=0.0),)
+    scene, state = block(colliders=shapes)
+    bodies = free_body.bodies_at_rest(jnp.array([[0.0, TOP + HALF[1] - 1e-3, 0.0]], float))
+
+    def impulse(velocity):
+        contact = TETRAHEDRA.begin(scene, TETRAHEDRA.constants(scene, state), TETRAHEDRA.split(state))
+        still, sliding = (Motion(jnp.zeros((3, 3)), v) for v in (jnp.zeros(3), velocity))
+        contact = contact.meet(free_body.poses(bodies), [sliding], lambda: [still])
+        return contact.exchange([None], bodies.position)[1].impulse[0]
+
+    sideways = jnp.array([0.3, 0.0, 0.0])
+    value, forward, _, reverse = derivatives(impulse)(jnp.zeros(3), sideways, lambda v: jnp.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(value[1:] > 0, [True, False])
+    np.testing.assert_allclose([*forward, *reverse, *value[::2], *impulse(sideways)[::2]], 0.0, atol=1e-12)
+
+
 def test_derivatives_equal_finite_differences(x64, derivatives, random_like, relative_error, inner):
     """Reverse = forward = difference over 20 substeps, by vertices, body, masses, material, contact, path and push."""
     shapes = tuple(Collider(shape=Sphere(radius=r), friction=0.3, body=i) for i, r in enumerate((0.05, 0.03)))

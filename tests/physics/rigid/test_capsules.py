@@ -93,6 +93,24 @@ def test_derivatives_are_those_of_finite_differences(
     assert inner(weights, forward) == pytest.approx(inner(reverse, dx), rel=1e-9)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_capsules_without_length_grow_at_both_ends(x64, side):
+    """By the half length of each capsule, towards a sphere and towards another capsule."""
+    up, center, ball = jnp.array([[0.0, 0.0, 1.0]]), jnp.array([[0.1, 0.0, 0.5 * side]]), jnp.array([0.05])
+
+    def distances(half_lengths):
+        first, second = (jnp.stack([ball, half[None]], axis=-1) for half in half_lengths)
+        tilted = jnp.array([[0.6, 0.0, 0.8]])
+        of_sphere = sphere_capsule(center, ball, jnp.zeros((1, 3)), up, first)[0]
+        return jnp.stack([of_sphere, capsule_capsule(jnp.zeros((1, 3)), up, first, center, tilted, second)[0]])[:, 0]
+
+    none = jnp.zeros(2)
+    expected = np.stack([(distances(none.at[k].set(1e-7)) - distances(none)) / 1e-7 for k in range(2)], axis=1)
+    assert expected[0, 0] < -0.9 and np.all(expected[1] < -0.6)
+    for slope in (jax.jacrev(distances)(none), jax.jacfwd(distances)(none)):
+        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("precision", [False, True])
 def test_derivatives_are_finite_where_axes_are_parallel_or_cross(precision):
     with jax.enable_x64(precision):

@@ -149,6 +149,22 @@ def test_derivatives_of_implicitfast(x64, derivatives, central_difference, rando
     assert inner(weights, forward) == pytest.approx(inner(reverse, move), rel=1e-9)
 
 
+def test_an_activation_at_the_end_of_its_range_keeps_its_derivative(x64):
+    """It starts at 0, the lower end: that of an activation inside, also after several substeps."""
+    actuator = '<actuator><general joint="turn0" dyntype="integrator" actrange="0 1" actlimited="true"/></actuator>'
+    model = rigid.load(rigid_models.pendulum(1).replace("</worldbody>", "</worldbody>" + actuator))
+    state, still = rigid.initial_state(model, [1.0]), jnp.zeros(1)
+
+    @jax.jit
+    def end(ctrl):
+        return rigid.step(model, state, ctrl, num_substeps=4).act[0]
+
+    ahead = (end(still + 1e-3) - end(still)) / 1e-3
+    slopes = jax.jit(lambda u: (jax.grad(end)(u)[0], jax.jvp(end, (u,), (jnp.ones(1),))[1]))(still)
+    np.testing.assert_allclose([*slopes, ahead], 4 * model.dt, rtol=1e-9)
+    assert end(still - 1.0) == 0.0 and end(still + 1e6) == 1.0
+
+
 def test_single_precision_stays_single():
     """Of every leaf, with an activation and several kinds of rows; integers are taken as reals."""
     with jax.enable_x64(False):
@@ -200,6 +216,21 @@ def test_wrong_arguments_are_named():
     ):
         with pytest.raises(ValueError, match="^" + re.escape(sentence)):
             call()
+
+
+def test_numbers_of_another_precision_than_jax_has_are_refused():
+    model = rigid.load(rigid_models.ball())
+    state = rigid.initial_state(model)
+    sentence = "^the model has numbers of {} and its state of {}, but JAX computes with {} here: load the model and"
+    with jax.enable_x64(True):
+        double = rigid.load(rigid_models.ball())
+        with pytest.raises(ValueError, match=sentence.format("float32", "float32", "float64")):
+            rigid.step(model, state)
+        with pytest.raises(ValueError, match=sentence.format("float64", "float32", "float64")):
+            rigid.step(double, state)
+        both = double, rigid.initial_state(double)
+    with pytest.raises(ValueError, match=sentence.format("float64", "float64", "float32")):
+        rigid.step(*both)
 
 
 def test_status_flags_what_is_not_finite_or_soon_will_be():

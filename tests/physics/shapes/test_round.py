@@ -34,6 +34,18 @@ def test_a_capsule_without_length_is_a_ball(x64):
         np.testing.assert_allclose(a, b, rtol=1e-12)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_capsule_without_length_grows_at_both_ends(x64, side):
+    def distance(half_length):
+        return SHAPES["capsule"].replace(half_length=half_length).distance((0.3 * R, 2.0 * side * R, 0.1 * R))[0]
+
+    none = jnp.asarray(0.0)
+    expected = (distance(1e-7) - distance(0.0)) / 1e-7
+    assert expected < -0.9
+    np.testing.assert_allclose(jax.grad(distance)(none), expected, rtol=1e-6)
+    np.testing.assert_allclose(jax.jvp(distance, (none,), (1.0,))[1], expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "cone"])
 def test_rounding_does_not_decide_the_normal_on_the_axis(kind):
     """It is zero, and so is its derivative; a tenth of a millimetre away it points outwards."""

@@ -40,6 +40,18 @@ def test_friction_is_linear_below_coulombs_limit_and_constant_beyond(x64):
     np.testing.assert_allclose(found[1], 0.0, atol=1e-15)
 
 
+@pytest.mark.parametrize(("limit", "stiffness"), [(0.0, 0.0), (0.2, 400.0)])
+def test_without_friction_nothing_holds_what_has_not_slid(x64, central_difference, limit, stiffness):
+    zero, one = jnp.zeros(1), jnp.ones(1)
+
+    def drag(u):
+        sliding = implicit_contact.Sliding((zero, one, zero), limit * one, 4.0 * one)
+        return implicit_contact.friction_slope(sliding, (u, zero, zero), jnp.asarray(0.01))[0][0]
+
+    assert jax.grad(drag)(zero)[0] == jax.jvp(drag, (zero,), (one,))[1] == stiffness
+    np.testing.assert_allclose(central_difference(drag, zero, one), stiffness, rtol=1e-9)
+
+
 NODES = 0.03 * (np.stack(np.meshgrid(*[np.arange(8.0)] * 3, indexing="ij"), axis=-1) - 3.5)
 INEXACT = {
     "samples of a ball": SampledDistance(

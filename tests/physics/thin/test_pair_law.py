@@ -1,8 +1,10 @@
 """The force of a pair by hand."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from self_contact_bodies import FLOOR, FORCE, two
+from self_contact_bodies import FLOOR, FORCE, law, two
 
 from rewax.physics import thin
 
@@ -28,3 +30,18 @@ def test_crossing_segments_push_each_other_at_their_middles_and_friction_is_coul
     for speed, drag in ((0.1, 0.05 * 0.1), (100.0, 0.4 * push)):
         sliding = state.replace(v=state.v.at[2:, 0].set(speed))
         np.testing.assert_allclose(FORCE(scene, sliding)[2:, 0].sum(), -drag, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("friction", "slope"), [(0.0, 0.0), (0.4, -0.05)])
+def test_without_friction_nothing_holds_a_pair_that_does_not_slide(x64, central_difference, friction, slope):
+    points = np.asarray([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.01, -0.1], [0.0, 0.01, 0.1]])
+    scene, state = two(points, "rope"), thin.initial_state(points)
+    scene = scene.replace(self_contact=law(friction=friction, max_speed=0.1))
+
+    @jax.jit
+    def drag(speed):
+        return thin.self_contact_force(scene, state.replace(v=state.v.at[2:, 0].set(speed)))[2:, 0].sum()
+
+    still = jnp.asarray(0.0)
+    found = jax.jvp(drag, (still,), (1.0,))[1], jax.grad(drag)(still), central_difference(drag, still, 1.0)
+    np.testing.assert_allclose(found, slope, rtol=1e-9)
