@@ -49,8 +49,8 @@ def with_cells(env: Any, cells: float) -> Any:
     )  # fmt: skip
     points = jnp.asarray(resampled(rest, volume, count), jnp.result_type(env.rest_positions))
     lists = {name: value for name, value in (("list_every", None), ("store_every", 1)) if hasattr(env, name)}
-    changed = env.replace(scene=new, rest_positions=points, num_substeps=steps, **lists)
     try:
+        changed = env.replace(scene=new, rest_positions=points, num_substeps=steps, **lists)
         jax.eval_shape(changed.reset, jax.random.key(0))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{type(env).__name__} needs its own particles ({error}): build its grids by hand") from error

@@ -108,8 +108,8 @@ def test_policies_that_were_trained_find_their_camera_where_it_was(name):
         middle - 0.02 * up, eye=eye, up=up, near=away - 0.8 * size, far=away + 1.2 * size, field_of_view=40.0
     )
     camera = default_camera(env)
-    np.testing.assert_array_equal(camera.position, wanted.position)
-    np.testing.assert_array_equal(camera.rotation, wanted.rotation)
+    np.testing.assert_allclose(camera.position, wanted.position, atol=1e-6)
+    np.testing.assert_allclose(camera.rotation, wanted.rotation, atol=1e-6)
     for each in ("near", "far", "field_of_view", "height", "width", "body", "noise"):
         assert getattr(camera, each) == getattr(wanted, each)
 

@@ -7,6 +7,7 @@ a thin disc of dough. Scale ``small`` has the same hand, softer and coarser doug
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.envs.kit.options import Substeps, integer_option, number_option, substeps
@@ -77,6 +78,8 @@ class HandFlip(HandTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         integer_option("pair_stride", self.pair_stride, "give 1 for all mirror pairs, n for every n-th one")
+        if not isinstance(self.rest_positions, Tracer):
+            _check_mirrored(np.asarray(self.rest_positions))
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         return self.at_rest(positions), -jnp.ones((), positions.dtype)
@@ -105,6 +108,22 @@ class HandFlip(HandTask):
     @property
     def default_camera(self) -> Camera:
         return overlooking((0.47, 0.3, 0.6), 0.4, up=self.up)
+
+
+def _check_mirrored(positions: np.ndarray) -> None:
+    """Raises ValueError unless the second half of the particles mirrors the first in some plane of constant z."""
+    half = positions.shape[-2] // 2
+    first, second = positions[..., :half, :], positions[..., half:, :]
+    mirrored = first.shape == second.shape
+    if mirrored:
+        planes = first[..., 2] + second[..., 2]
+        errors = first[..., :2] - second[..., :2], planes - planes.mean(axis=-1, keepdims=True)
+        mirrored = max(np.abs(e).max(initial=0.0) for e in errors) < 1e-4
+    if not mirrored:
+        raise ValueError(
+            "the second half of rest_positions does not mirror the first in z, and the reward measures such pairs: "
+            "give positions as those of mirrored_disc"
+        )
 
 
 def mirrored_disc(center: tuple[float, ...], radius: float, half_thickness: float, num_particles: int) -> Array:

@@ -8,6 +8,7 @@ import soft_tasks
 from flat_materials import flat_numbers
 from soft_tasks import assert_reset_noise, difference_errors, make
 
+import rewax
 from rewax.envs.tasks import hand_flip
 from rewax.physics.mpm import Hencky, VonMises
 from rewax.status import Status
@@ -134,3 +135,11 @@ def test_gradient_by_actions_is_that_of_differences(x64):
     env = env.replace(rest_positions=rest, num_substeps=3, list_every=None, pair_stride=1)
     errors = difference_errors(env, num_steps=4, h=1e-7, task=0.06)  # a D0 of its own: it has no derivative
     assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4
+
+
+def test_particles_without_mirror_images_are_refused():
+    env = rewax.make("HandFlip", scale="small")
+    assert env.replace(rest_positions=env.rest_positions + 0.01).pair_stride == env.pair_stride
+    for positions in (env.rest_positions[:-1], env.rest_positions[::-1].at[0, 0].add(0.01)):
+        with pytest.raises(ValueError, match="does not mirror the first"):
+            env.replace(rest_positions=positions)
