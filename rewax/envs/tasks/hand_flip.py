@@ -96,8 +96,7 @@ class HandFlip(HandTask):
 
     def pair_distance(self, physics: SoftPhysics) -> Array:
         """Mean distance of every ``pair_stride``-th mirror pair [m], shape ()."""
-        x, half = physics.soft.x, len(physics.soft.x) // 2
-        first, second = (part[:: self.pair_stride] for part in (x[:half], x[half : 2 * half]))
+        first, second = (half[:: self.pair_stride] for half in jnp.split(physics.soft.x, 2))
         return jnp.mean(jnp.sqrt(jnp.sum((first - second) ** 2, axis=-1) + 1e-12))
 
     def first_distance(self, physics: SoftPhysics) -> Array:
