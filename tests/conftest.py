@@ -208,3 +208,30 @@ def derivatives():
         return all_three
 
     return of
+
+
+@pytest.fixture(scope="session")
+def agree_along(derivatives, inner):
+    """``agree_along(f, args, directions)``: reverse = forward = central difference of a scalar function.
+
+    ``directions`` holds trees like ``args``, by name; the slope along each is more than ``least``. ``f(*args)`` and its
+    derivatives are one compiled program. The difference is of fourth order in ``step`` if ``fourth``.
+    """
+
+    def check(f, args, directions, *, step, exact, bar, least=1e-6, fourth=False):
+        whole = derivatives(lambda args: f(*args))
+        for name, along in directions.items():
+
+            def apart(size, along=along):
+                ends = [jax.tree.map(lambda a, d, s=s: a + s * size * d, args, along) for s in (1, -1)]
+                ahead, behind = (float(whole(end, along, weights=jnp.ones_like)[0]) for end in ends)
+                return (ahead - behind) / (2.0 * size)
+
+            _, forward, _, slopes = whole(args, along, weights=jnp.ones_like)
+            reverse = inner(slopes, along)
+            difference = (4.0 * apart(step) - apart(2.0 * step)) / 3.0 if fourth else apart(step)
+            assert abs(reverse) > least, name
+            np.testing.assert_allclose(reverse, forward, rtol=exact, err_msg=name)
+            np.testing.assert_allclose(reverse, difference, rtol=bar, err_msg=name)
+
+    return check
