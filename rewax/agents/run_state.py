@@ -106,6 +106,11 @@ class RunState(struct.Replaceable):
         """The state without the fields that differ between environments; ``Environments.common()``."""
         return self.replace(environments=self.environments.common())
 
+    def restarted(self) -> Self:
+        """The state with all environments at the beginning of new episodes."""
+        key, reset_key = jax.random.split(self.key)
+        return self.replace(environments=self.environments.restarted(reset_key), key=key)
+
     def after(self, config: RunConfig, end: State, transitions: Transition, key: Key) -> tuple[Self, Metrics]:
         """The state after an iteration, with updated environments and counters; and the metrics of the episodes.
 

@@ -21,6 +21,7 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from rewax.agents.run_state import RunState
 from rewax.training.storage.leaves import (
     ENTRIES,
     OtherStructure,
@@ -34,6 +35,8 @@ from rewax.training.storage.leaves import (
 from rewax.whole_files import replacing
 
 T = TypeVar("T")
+_SIMULATED = (".environments.state.physics", ".environments.state.metrics")
+"""Beginnings of the names of arrays that a new episode makes anew."""
 _HEALTHY = "healthy"
 """Beside the checkpoints: the iteration of the last one from before failures."""
 
@@ -143,6 +146,7 @@ def restore(
     like: T,
     *,
     step: int | None = None,
+    restart: bool = False,
     set_aside: bool = False,
     notify: Callable[[str], None] = _warn,
 ) -> T:
@@ -152,14 +156,17 @@ def restore(
       run_dir: directory of the run.
       like: a training state of the same structure, or its ``jax.eval_shape``; values are not used.
       step: iteration of the checkpoint; by default the newest that can be read.
+      restart: if only the state of the simulation has other fields, as that of another version of rewax, keep all that
+        was learnt and begin new episodes; needs a ``RunState``.
       set_aside: rename the damaged checkpoints that were skipped, so that the run does not find them again.
-      notify: called with a sentence about each damaged checkpoint that was skipped; a Python warning by default.
+      notify: called with a sentence about each damaged checkpoint that was skipped, and about new episodes; a Python
+        warning by default.
 
     Raises:
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
         (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
     """
-    return _newest(run_dir, lambda path: _read(path, like), step, set_aside, notify)
+    return _newest(run_dir, lambda path: _read(path, like, notify if restart else None), step, set_aside, notify)
 
 
 def stored_leaves(run_dir: str | Path) -> dict[str, Any]:
@@ -243,13 +250,27 @@ def _set_aside(path: Path, what: str) -> Path:
     return path.rename(path.with_name(name))
 
 
-def _read(path: Path, like: T) -> T:
+def _read(path: Path, like: T, begin: Callable[[str], None] | None) -> T:
+    """A checkpoint as ``like``; ``begin`` is called before new episodes begin, None forbids them."""
     described = _read_description(path)
     named = named_leaves(like)
-    check_structure(described, dict(named), path)
+    lost: set[str] = set()
+    try:
+        check_structure(described, dict(named), path)
+    except OtherStructure:
+        lost = {name for name in {**described, **dict(named)} if name.startswith(_SIMULATED)}
+        if begin is None or not isinstance(like, RunState):
+            raise
+        kept, wanted = ({n: v for n, v in of.items() if n not in lost} for of in (described, dict(named)))
+        check_structure(kept, wanted, path)
+        begin(
+            f"note: the simulation of {path} had another state, as in another version of rewax: all that was learnt "
+            "is kept, and new episodes begin"
+        )
     arrays = _read_arrays(path, described)
-    leaves = [from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+    leaves = [None if name in lost else from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
+    read = jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return jax.jit(type(read).restarted)(read) if lost else read
 
 
 def _read_description(path: Path) -> dict[str, Any]:

@@ -109,7 +109,8 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     env = _recorded_env(config, file) if env is None else env
     agent = build_agent(name, env, stored)
     try:
-        train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
+        like = jax.eval_shape(agent.init, jax.random.key(0))
+        train_state = checkpoint.restore(run_dir, like, step=step, restart=True)
     except checkpoint.OtherStructure as error:
         raise checkpoint.OtherStructure(
             f"{error}; if the agent drew parameters (randomize=...), give the environment with them: "

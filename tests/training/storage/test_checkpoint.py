@@ -221,10 +221,10 @@ def test_a_run_that_goes_on_meanwhile_is_not_damaged(tmp_path, monkeypatch):
     states, _ = three(tmp_path)
     read, wanted = checkpoint._read, [2, 1]
 
-    def after_the_next_ones(path, like):  # the process that trains keeps one checkpoint, and saves two more first
+    def after_the_next_ones(path, *rest):  # the process that trains keeps one checkpoint, and saves two more first
         while wanted:
             checkpoint.save(tmp_path, states[-1].replace(iteration=states[-1].iteration + wanted.pop()), keep=1)
-        return read(path, like)
+        return read(path, *rest)
 
     monkeypatch.setattr(checkpoint, "_read", after_the_next_ones)
     with warnings.catch_warnings():

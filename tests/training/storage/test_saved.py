@@ -16,7 +16,9 @@ from rewax.envs import registry
 from rewax.envs.randomize import Uniform, hook
 from rewax.envs.randomized import Randomized
 from rewax.training.config import TrainConfig
+from rewax.training.loop.start import first_state
 from rewax.training.loop.train import train
+from rewax.training.storage import checkpoint
 from rewax.training.storage.description import write_config
 from rewax.training.storage.saved import load_run
 
@@ -150,6 +152,42 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_warning(run, tmp_path):
     (run_dir / "config.json").write_text("null")
     with pytest.raises(ValueError, match=r"config\.json holds null, not named entries"):
         load_run(run_dir)
+
+
+def test_a_run_with_another_simulation_state_begins_new_episodes(run, tmp_path):
+    """That of an earlier version: its policy acts, and training goes on with all that was learnt."""
+    run_dir, train_state = run
+    other = shutil.copytree(run_dir, tmp_path / "run")
+    old = train_state.environments.state.replace(physics={"height": np.zeros(2)})
+    environments = train_state.environments.replace(state=old)
+    checkpoint.save(other, train_state.replace(environments=environments, iteration=train_state.iteration + 1))
+    with pytest.warns(UserWarning, match="checkpoints/3 had another state, .* is kept, and new episodes begin"):
+        saved = load_run(other)
+    begun = saved.train_state
+    np.testing.assert_array_equal(begun.environments.state.step_count, 0)
+    assert jax.tree.structure(begun) == jax.tree.structure(train_state)
+    kept = [(state.actor_params, state.actor_opt, state.environments.env) for state in (begun, train_state)]
+    jax.tree.map(np.testing.assert_array_equal, *kept)
+    assert int(saved.agent.train_step(begun)[0].iteration) == 4
+    with pytest.raises(checkpoint.OtherStructure, match=r"\.environments\.state\.physics"):
+        checkpoint.restore(other, train_state)
+    console = Console(file=io.StringIO(), width=500)
+    resumed = (
+        saved.agent,
+        saved.env,
+        TrainConfig(num_iterations=4, run_dir=str(other), resume=True),
+        other,
+        jax.random.key(0),
+    )
+    assert int(first_state(*resumed, saved.config, console).iteration) == 3
+    assert "checkpoints/3 had another state" in console.file.getvalue()
+    changed = {**saved.config, "sapo": {**saved.config["sapo"], "horizon": 4}}
+    with pytest.raises(ValueError, match=r"holds a run with sapo.horizon 3 \(given: 4\), whose training state"):
+        first_state(*resumed, changed, console)
+    wider = environments.replace(episode_return=np.zeros(3))
+    checkpoint.save(other, train_state.replace(environments=wider, iteration=train_state.iteration + 2))
+    with pytest.raises(checkpoint.OtherStructure, match="episode_return"):
+        load_run(other)
 
 
 def test_a_run_whose_agent_drew_parameters_is_loaded_with_its_draws(run, tmp_path):
