@@ -50,7 +50,8 @@ class Status(enum.IntFlag):
     also: a particle may meet cloth faster than ``contact.max_speed`` or ``mixed.largest_safe_particle_speed``. Not
     fatal."""
     UNSOLVED = 1024
-    """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``. Not fatal."""
+    """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``, or the constraint
+    forces of rigid bodies did not balance within the model's ``iterations``: its gradient is wrong. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -64,7 +65,7 @@ _REMEDIES = {
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
     Status.FULL_PAIRS: "a larger self_contact.pairs_per_element, or contact.pairs_per_particle of a mixed scene",
     Status.CROSSED: "slower motion, a smaller dt, or a stiffer or thicker self_contact with a larger max_speed",
-    Status.UNSOLVED: "a smaller dt, or more stepper.newton_iterations and cg_iterations",
+    Status.UNSOLVED: "a smaller dt, or more iterations (rigid.load), newton_iterations or cg_iterations (stepper)",
     Status.PENETRATION: "a slower tool, more room for the body, or a tool that is driven by forces",
 }
 

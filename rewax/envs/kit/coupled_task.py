@@ -115,7 +115,8 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
                 felt = None
             else:
                 soft, bodies, touch, felt = articulated.step_with_touch(*bodily, patches=self.touch, num_substeps=every)  # pyright: ignore[reportArgumentType]
-            return (soft, bodies), ((touch, felt), soft_status(self.scene, soft, start=before))
+            status = soft_status(self.scene, soft, start=before) | rigid.check_status(bodies)
+            return (soft, bodies), ((touch, felt), status)
 
         start = (physics.soft, physics.rigid)
         (soft, bodies), (mean, status) = jax.lax.scan(move, start, None, length=self.num_substeps // every)

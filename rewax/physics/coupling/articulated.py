@@ -136,9 +136,9 @@ def _advanced(
     constants = solver.constants(scene, state)
     prescribed = jax.tree.map(lambda a: a.reshape(num_substeps, each, *a.shape[1:]), prescribed)
 
-    def rigid_substep(carry: tuple[_Carry, Array, Array], now: Prescribed) -> tuple[tuple[_Carry, Array, Array], Any]:
-        inner, act, qacc = carry
-        robot = RigidState(qpos=inner.qpos, qvel=inner.qvel, act=act, qacc=qacc)
+    def rigid_substep(carry: tuple[_Carry, dict[str, Array]], now: Prescribed) -> tuple[Any, Any]:
+        inner, kept = carry
+        robot = RigidState(qpos=inner.qpos, qvel=inner.qvel, **kept)
         rate, after = rates(model, robot, ctrl, wrenches)
         if patches is not None:
             contacts = felt_contacts(model, robot, after.qacc, ctrl, wrenches, patches)
@@ -148,15 +148,15 @@ def _advanced(
             return _substep(scene, model, constants, rate, inner, patches, interval[1])
 
         inner, seen = scan_soft(scene, constants, substep, inner, (jnp.arange(each), now), None)
-        return (inner, after.act, after.qacc), seen
+        return (inner, {"act": after.act, "qacc": after.qacc, "unsolved": after.unsolved}), seen
 
     untouched = None if patches is None else no_touch(patches, state.x)
     start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x), untouched)
-    carry = (start, bodies.act, bodies.qacc)
-    (end, act, qacc), seen = jax.lax.scan(rigid_substep, carry, prescribed, length=num_substeps)
+    kept = {"act": bodies.act, "qacc": bodies.qacc, "unsolved": jnp.zeros_like(bodies.unsolved)}
+    (end, kept), seen = jax.lax.scan(rigid_substep, (start, kept), prescribed, length=num_substeps)
     mean, felt = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), (end.received, end.felt))
     soft = solver.remember(state, solver.join(end.soft), jax.tree.map(jnp.max, seen))
-    return soft, RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
+    return soft, RigidState(qpos=end.qpos, qvel=end.qvel, **kept), mean, felt
 
 
 def soft_substeps(scene: Scene, model: RigidModel) -> int:

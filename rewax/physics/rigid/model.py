@@ -230,12 +230,15 @@ class RigidState(struct.Replaceable):
       act: activations of stateful actuators, shape (num_activations,).
       qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): the first guess of the next solve. No
         gradient.
+      unsolved: 1.0 if in a substep of the last step the constraint solver reached its limit of iterations before the
+        forces balanced, else 0.0, shape (). No gradient.
     """
 
     qpos: Array
     qvel: Array
     act: Array
     qacc: Array
+    unsolved: Array
 
 
 def load(

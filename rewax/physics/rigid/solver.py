@@ -44,21 +44,25 @@ def curvature(mass: Array, rows: Rows, qacc: Array) -> Array:
 
 def solve_accelerations(
     mass: Array, force: Array, rows: Rows, start: Array, *, max_iterations: int, num_bounded: int
-) -> Array:
-    """Joint accelerations a with M a = force + J^T f(a), shape (num_dofs,).
+) -> tuple[Array, Array]:
+    """Joint accelerations a with M a = force + J^T f(a), and whether they are not found.
 
     Args:
       mass: M, symmetric, positive definite, shape (num_dofs, num_dofs).
       force: generalized forces without those of the constraints, shape (num_dofs,).
       rows: the constraints.
       start: first guess, shape (num_dofs,); only the number of iterations depends on it.
-      max_iterations: largest number of Newton steps. If they do not suffice, the last iterate is returned.
+      max_iterations: largest number of Newton steps.
       num_bounded: number of leading rows that can have a finite upper bound.
+
+    Returns:
+      The accelerations, shape (num_dofs,): the last iterate if ``max_iterations`` do not suffice. 1.0 if they do not
+      suffice, else 0.0, shape ().
 
     Gradient: none; see ``implicit_correction``.
     """
     if rows.jacobian.shape[0] == 0:
-        return solve_spd(mass, force)
+        return solve_spd(mass, force), jnp.zeros_like(start, shape=())
 
     class Iterate(NamedTuple):
         qacc: Array
@@ -81,7 +85,8 @@ def solve_accelerations(
 
     missed = _dot(rows.jacobian, start) - rows.target
     begin = Iterate(start, missed, side_of(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros_like(start, bool, ()))
-    return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
+    end = jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin)
+    return end.qacc, 1.0 - end.done.astype(end.qacc.dtype)
 
 
 def implicit_correction(matrix: Array, residual: Array, *, symmetric: bool = True) -> Array:

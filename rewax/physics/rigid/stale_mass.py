@@ -21,7 +21,7 @@ from rewax.physics.rigid.kinematic_tree import JointType
 from rewax.physics.rigid.kinematics import integrate
 from rewax.physics.rigid.model import RigidModel, RigidState, check_state
 from rewax.physics.rigid.small_products import cross, dot, rotate
-from rewax.physics.rigid.stepping import checked_inputs
+from rewax.physics.rigid.stepping import checked_inputs, forgotten
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
 from rewax.types import Array
 
@@ -56,7 +56,7 @@ def step_with_stale_mass(
     def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
         return _substep(model, mass, origin, state, ctrl), None
 
-    return jax.lax.scan(substep, state, None, length=num_substeps)[0]
+    return jax.lax.scan(substep, forgotten(state), None, length=num_substeps)[0]
 
 
 def check_can_keep_mass(model: RigidModel) -> None:

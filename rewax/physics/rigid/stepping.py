@@ -68,7 +68,8 @@ def initial_state(
         if not isinstance(qpos, jax.core.Tracer) and not np.any(np.asarray(qpos)[start : start + 4]):
             raise ValueError(f"qpos[{start}:{start + 4}] is a quaternion of zeros: give (1, 0, 0, 0) for no rotation")
     act = jnp.zeros(model.static.mj.na, qpos.dtype)
-    return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype))
+    nothing = jnp.zeros((), qpos.dtype)
+    return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype), unsolved=nothing)
 
 
 def step(
@@ -91,7 +92,8 @@ def step(
 
     Gradient: exact for the discrete map, forward (JVP) and reverse (VJP), with respect to state, controls, wrenches and
       parameters. The reverse derivative stores one state per substep. Zero through ``qacc`` and saturated controls. The
-      solver takes the model's ``iterations``, but at least 50, because the derivative assumes that it has converged.
+      derivative assumes that the solver has converged. Its limit is the model's ``iterations``, but at least 50; where
+      it does not suffice, ``check_status`` sets ``Status.UNSOLVED``.
 
     Raises:
       ValueError: a shape differs from the model's, an argument is not a number, or the model or the state has another
@@ -103,7 +105,12 @@ def step(
     def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
         return _substep(model, state, ctrl, wrenches)[0], None
 
-    return jax.lax.scan(substep, state, None, length=num_substeps)[0]
+    return jax.lax.scan(substep, forgotten(state), None, length=num_substeps)[0]
+
+
+def forgotten(state: RigidState) -> RigidState:
+    """The state at the beginning of a step, which has no unsolved substep yet."""
+    return state.replace(unsolved=jnp.zeros_like(state.unsolved))
 
 
 def checked_inputs(
@@ -138,7 +145,8 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     """Status bits of a state and of its model.
 
     Args:
-      state: the bodies. A value that is not finite, or a position or velocity of a million or more, sets ``NAN``.
+      state: the bodies. A value that is not finite, or a position or velocity of a million or more, sets ``NAN``. A
+        substep of the last step whose constraint forces did not balance sets ``UNSOLVED``.
       model: illegal parameters (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None: do not
         check parameters.
 
@@ -148,6 +156,7 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
     largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
     status = flag(~(largest < 1e6) | ~all_finite((state.act, state.qacc)), Status.NAN)
+    status |= flag(state.unsolved > 0, Status.UNSOLVED)
     if model is None:
         return status
     invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty)
@@ -163,7 +172,7 @@ def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) ->
 
     Returns:
       The change of velocity per time [m/s^2, rad/s^2], shape (num_dofs,), and the state after the substep. If the
-      caller replaces this state's velocity, its activations and ``qacc`` stay valid. Gradient: exact.
+      caller replaces this state's velocity, its activations, ``qacc`` and ``unsolved`` stay valid. Gradient: exact.
     """
     after, rate = _substep(model, state, ctrl, wrenches)
     return rate, after
@@ -183,7 +192,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         still = jnp.zeros_like(state.qvel)
         force = applied - inverse_dynamics(topology, parameters, kin, state.qvel, still, model.gravity)
         mass = mass_matrix(topology, parameters, kin)
-        qacc = constraint_solver.solve_accelerations(
+        qacc, unsolved = constraint_solver.solve_accelerations(
             mass,
             force,
             rows,
@@ -195,7 +204,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         if model.static.has_damping:
             total = force + rows.jacobian.T @ constraint_solver.row_forces(rows, qacc)
             rate = constraint_solver.solve_spd(_damped(model, kin, m, d, mass, qacc)[0], total)
-        return _advance(model, state, act_dot, qacc, rate), rate
+        return _advance(model, state, act_dot, qacc, rate, jnp.maximum(state.unsolved, unsolved)), rate
 
 
 def _acceleration_derivative(
@@ -204,7 +213,7 @@ def _acceleration_derivative(
     """The result of ``_accelerate``, ``known``, with a derivative that follows from the balance of forces."""
     with jax.default_matmul_precision("highest"):
         topology, parameters = model.static.topology, tree_parameters(model)
-        qacc, rate = jax.lax.stop_gradient((known[0].qacc, known[1]))
+        qacc, unsolved, rate = jax.lax.stop_gradient((known[0].qacc, known[0].unsolved, known[1]))
         kin = kinematics(model, state.qpos)
         m, d = mjx_data(model, kin, state, ctrl)
         applied, act_dot = applied_forces(model, kin, m, d, wrenches)
@@ -226,7 +235,7 @@ def _acceleration_derivative(
             held = constraint_solver.row_forces(rows, solved)
             damped, damping = _damped(model, kin, m, d, mass, rate)
             solved = rate - correction(damped, needed[1] + damping, held, not len(model.static.lone_dofs))
-        return _advance(model, state, act_dot, qacc, solved), solved
+        return _advance(model, state, act_dot, qacc, solved, unsolved), solved
 
 
 _substep = interpreted(_accelerate, derivative_of=_acceleration_derivative)
@@ -249,13 +258,16 @@ def _damped(
     return mass + model.dt * damping, model.dt * dot(damping, rate)
 
 
-def _advance(model: RigidModel, state: RigidState, act_dot: Array, qacc: Array, rate: Array) -> RigidState:
+def _advance(
+    model: RigidModel, state: RigidState, act_dot: Array, qacc: Array, rate: Array, unsolved: Array
+) -> RigidState:
     qvel = state.qvel + model.dt * rate
     return RigidState(
         qpos=integrate(model.static.topology, state.qpos, qvel, model.dt),
         qvel=qvel,
         act=_next_activations(model, state.act, act_dot),
         qacc=jax.lax.stop_gradient(qacc),
+        unsolved=jax.lax.stop_gradient(unsolved),
     )
 
 
@@ -273,4 +285,4 @@ def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
     return clipped(act + span * act_dot, low, high)
 
 
-__all__ = ["check_status", "checked_inputs", "initial_state", "rates", "step"]
+__all__ = ["check_status", "checked_inputs", "forgotten", "initial_state", "rates", "step"]

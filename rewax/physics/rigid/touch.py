@@ -24,7 +24,7 @@ from rewax.physics.rigid.forces import (
 from rewax.physics.rigid.kinematics import body_velocities
 from rewax.physics.rigid.mjx_access import mjx
 from rewax.physics.rigid.model import RigidModel, RigidState, check_state
-from rewax.physics.rigid.stepping import checked_inputs, rates
+from rewax.physics.rigid.stepping import checked_inputs, forgotten, rates
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
 from rewax.types import Array
 
@@ -62,7 +62,7 @@ def step_with_touch(
         contacts = felt_contacts(model, state, after.qacc, ctrl, wrenches, patches)
         return (after, accumulated(total, contacts, 1.0 / num_substeps)), None
 
-    start = (state, no_touch(patches, state.qpos))
+    start = (forgotten(state), no_touch(patches, state.qpos))
     return jax.lax.scan(substep, start, None, length=num_substeps)[0]
 
 

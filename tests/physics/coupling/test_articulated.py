@@ -162,6 +162,21 @@ def test_a_robots_substep_may_last_several_of_the_particles(x64):
     assert 0.2 < np.abs(ends[1] - ends[0]).max() / np.abs(ends[2] - ends[0]).max() < 0.6
 
 
+def test_substeps_whose_constraints_do_not_balance_are_remembered(monkeypatch):
+    """Those of this step alone, wherever in it they are."""
+    model = model_of()
+    scene, state = dough_under(model)
+    rates = articulated.rates
+
+    def unbalanced(model, robot, *inputs):
+        rate, after = rates(model, robot, *inputs)
+        return rate, after.replace(unsolved=robot.unsolved + 1.0)
+
+    monkeypatch.setattr(articulated, "rates", unbalanced)
+    step = jax.jit(lambda robot: articulated.step(scene, model, state, robot, num_substeps=3)[1])
+    assert float(step(thrown(model).replace(unsolved=jnp.float32(7.0))).unsolved) == 3.0
+
+
 def test_lengths_that_do_not_fit_say_what_to_do():
     model = model_of(dt=5e-4)
     scene, state = dough_under(model, dt=4e-4)

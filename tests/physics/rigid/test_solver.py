@@ -69,6 +69,11 @@ def brute_force(mass, force, rows):
 
 @functools.partial(jax.jit, static_argnames=("max_iterations", "num_bounded"))
 def accelerations(mass, force, rows, start, max_iterations=50, num_bounded=4):
+    return solved(mass, force, rows, start, max_iterations, num_bounded)[0]
+
+
+@functools.partial(jax.jit, static_argnums=(4, 5))
+def solved(mass, force, rows, start, max_iterations, num_bounded):
     return cs.solve_accelerations(mass, force, rows, start, max_iterations=max_iterations, num_bounded=num_bounded)
 
 
@@ -133,6 +138,7 @@ def test_the_number_of_steps_is_bounded(x64):
     end = accelerations(mass, force, rows, start, num_bounded=10)
     one = accelerations(mass, force, rows, start, max_iterations=1, num_bounded=10)
     assert np.abs(end - one).max() > 1e-3
+    assert [float(solved(mass, force, rows, start, n, 10)[1]) for n in (50, 1)] == [0.0, 1.0]
     starts = np.stack([start, start, 2.0 * start])
     forces = np.stack([force, np.full(8, np.nan), force])
     many = jax.jit(jax.vmap(lambda f, s: accelerations(mass, f, rows, s, num_bounded=10)))(forces, starts)
@@ -192,4 +198,4 @@ def test_a_direction_that_is_zero_at_the_solution(x64):
 def test_the_solution_inside_shard_map(x64):
     mass, force, rows, start = problem(0, 4, ["friction", "contact"])
     solve = functools.partial(cs.solve_accelerations, max_iterations=5, num_bounded=1)
-    assert traced_under_shard_map(solve, mass, force, rows, start).shape == (1, 4)
+    assert [a.shape for a in traced_under_shard_map(solve, mass, force, rows, start)] == [(1, 4), (1,)]

@@ -1,5 +1,6 @@
 """Articulated rigid bodies over many substeps: C MuJoCo's trajectories, conserved quantities, clear errors."""
 
+import functools
 import re
 
 import jax
@@ -11,6 +12,7 @@ import rigid_models
 from rigid_cases import ARM_ON_THE_FLOOR, CALLS, STEPS, advance, draw, home, hop, loaded, simulate_in_c
 
 from rewax.physics import rigid
+from rewax.physics.rigid import stepping
 from rewax.physics.rigid.spring_contacts import Penalty
 from rewax.status import Status
 from rewax.xla_options import unoptimised
@@ -246,6 +248,18 @@ def test_status_flags_what_is_not_finite_or_soon_will_be():
         state.replace(act=jnp.array([jnp.inf])),
     ):
         assert int(rigid.check_status(broken)) == Status.NAN
+
+
+def test_constraint_forces_that_do_not_balance_are_reported(monkeypatch):
+    """One iteration does not suffice for a rod that hits the ground, but for one in the air."""
+    monkeypatch.setattr(stepping, "_MIN_ITERATIONS", 1)
+    move = jax.jit(functools.partial(rigid.step, num_substeps=3))
+    for iterations, status in ((1, Status.UNSOLVED), (50, Status.OK)):
+        model = rigid.load(rigid_models.capsule(), iterations=iterations)
+        start = rigid.initial_state(model, model.home.at[2].set(0.22), jnp.array([3.0, 0.0, -1.0, 5.0, 0.0, 5.0]))
+        end = move(model, start)
+        assert int(rigid.check_status(end)) == status
+        assert int(rigid.check_status(move(model, end.replace(qpos=end.qpos.at[2].set(1.0))))) == Status.OK
 
 
 # --- Substeps and environments ----------------------------------------------------------------------------------------

@@ -62,7 +62,8 @@ def test_forces_are_those_of_mujoco(x64, dim):
 def test_forces_change_the_momentum(x64, penalty):
     model = loaded(3, penalty)
     state, num = moving(model), 5
-    end, felt = STEP(model, state, patches=Patches(body=(1, 2, 0)), num_substeps=num)
+    end, felt = STEP(model, state.replace(unsolved=1.0), patches=Patches(body=(1, 2, 0)), num_substeps=num)
+    assert float(end.unsolved) == 0.0
     expected = rigid.step(model, state, num_substeps=num)
     np.testing.assert_allclose(end.qvel, expected.qvel, atol=1e-12)
     mass = np.asarray(model.parameters["body_mass"])
