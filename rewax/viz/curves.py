@@ -15,6 +15,10 @@ from rewax.viz.plots import STYLE, plain
 
 CURVE_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
+_INSIDE = 6
+"""Number of names that have room between the curves; a longer legend is beside them."""
+_LEGEND_POINTS = 160.0
+"""Height of all names of a legend, in points of type."""
 _CUT = 2
 """Share of the lowest points that may be cut off [%]."""
 
@@ -57,9 +61,12 @@ def curves_of_seeds(
         axes.set(title=plain(title), xlabel="environment steps", ylabel="return of training episodes")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         _cut_off_outliers(axes, [curve for seeds in runs.values() for curve in seeds], (levels or {}).values())
-        if axes.get_legend_handles_labels()[0]:
-            many = len(axes.get_legend_handles_labels()[0]) > 12
-            axes.legend(loc="best", fontsize=4 if many else 8, ncols=3 if many else 1, framealpha=0.7)
+        if num_names := len(axes.get_legend_handles_labels()[0]):
+            size = min(8.0, _LEGEND_POINTS / num_names)
+            if num_names > _INSIDE:
+                figure.legend(loc="outside right upper", fontsize=size, frameon=False)
+            else:
+                axes.legend(loc="best", fontsize=size, framealpha=0.7)
         figure.savefig(out_png)
     return Path(out_png)
 

@@ -4,6 +4,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from rewax.statistics import Curve
 from rewax.viz.curves import CURVE_COLORS, curves_of_seeds, landscape_picture, mean_curve
@@ -19,6 +20,20 @@ def test_curves_are_drawn_for_any_number_of_seeds(tmp_path):
     runs = {"sapo": [curve(0.0), curve(1.0), curve(2.0, 30)], "shac": [curve(3.0), nothing], "never": []}
     path = curves_of_seeds(runs, tmp_path / "a.png", title="Task", levels={"no action": 2.0})
     assert matplotlib.image.imread(path).std() > 0.05
+
+
+@pytest.mark.parametrize("num_names", [3, 10, 40])
+def test_a_long_legend_hides_no_curves(monkeypatch, num_names):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, _: drawn.append(self))
+    curves_of_seeds({f"algorithm {i}": [Curve(np.arange(9.0), np.arange(9.0) + i)] for i in range(num_names)}, "x.png")
+    (figure,), axes = drawn, drawn[0].axes[0]
+    figure.draw_without_rendering()
+    (legend,) = figure.legends or [axes.get_legend()]
+    extent, whole = legend.get_window_extent(), figure.bbox
+    assert whole.y0 <= extent.y0 and extent.y1 <= whole.y1
+    assert (extent.x0 >= axes.get_window_extent().x1) == (num_names > 3)
+    assert axes.get_window_extent().width > 0.6 * whole.width
 
 
 @pytest.mark.parametrize(("num_low", "tall"), [(1, True), (10, False)])
