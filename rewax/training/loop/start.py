@@ -73,17 +73,16 @@ def first_state(
     for name, old, new in differences:
         if name in _FLAGS:
             raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with {_FLAGS[name]} {old}")
-    options = [(name, old, new) for name, old, new in differences if not name.startswith("train.")]
     try:
         train_state = checkpoint.restore(
             run_dir,
             jax.eval_shape(agent.init, key),
-            restart=all(name in versions() for name, _, _ in options),
+            restart=True,
             set_aside=True,
             notify=lambda text: say(console, text),
         )
     except checkpoint.OtherStructure as error:
-        raise _other_options(run_dir, options, error) from None
+        raise _other_options(run_dir, differences, error) from None
     for name, old, new in differences:
         if name == "train.seed" or not name.startswith("train."):  # options of reports may change
             say(console, f"note: resuming with {name} {new}, it was {old}")
@@ -133,8 +132,9 @@ def _sensors(config: Mapping[str, Any]) -> list[Any]:
     return [*(kwargs.get("sensors") or ()), *(kwargs[name] for name in ("resolution",) if name in kwargs)]
 
 
-def _other_options(run_dir: Path, options: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:
+def _other_options(run_dir: Path, differences: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:
     """A sentence with the options that differ; where none does, with the array that does not fit."""
+    options = [(name, old, new) for name, old, new in differences if not name.startswith("train.")]
     if not options:
         return error
     listed = ", ".join(f"{name} {old} (given: {new})" for name, old, new in options)
