@@ -263,14 +263,16 @@ def _read(path: Path, like: T, begin: Callable[[str], None] | None) -> T:
             raise
         kept, wanted = ({n: v for n, v in of.items() if n not in lost} for of in (described, dict(named)))
         check_structure(kept, wanted, path)
-        begin(
-            f"note: the simulation of {path} had another state, as in another version of rewax: all that was learnt "
-            "is kept, and new episodes begin"
-        )
     arrays = _read_arrays(path, described)
     leaves = [None if name in lost else from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
     read = jax.tree.unflatten(jax.tree.structure(like), leaves)
-    return jax.jit(type(read).restarted)(read) if lost else read
+    if not lost or begin is None:
+        return read
+    begin(
+        f"note: the simulation of {path} had another state, as in another version of rewax: all that was learnt is "
+        "kept, and new episodes begin"
+    )
+    return jax.jit(type(read).restarted)(read)
 
 
 def _read_description(path: Path) -> dict[str, Any]:
