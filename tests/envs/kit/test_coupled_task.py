@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.envs.kit import coupled_task
 from rewax.envs.kit.coupled_task import CoupledPhysics, CoupledTask
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.physics import rigid, tets
@@ -60,3 +61,19 @@ def test_a_paddle_pushes_the_block_and_feels_it():
     weight = float(env.scene.mass.sum()) * 9.81
     assert gained <= -felt <= gained + 0.2 * weight * 12 * env.control_dt
     assert felt < -0.1
+
+
+def test_each_piece_of_a_control_step_tells_what_it_did_not_solve(monkeypatch):
+    """Forces do not balance in the first piece alone: the robot forgets that at the beginning of the next."""
+    env = push().replace(num_substeps=4, list_every=2)
+    physics, _ = env.begin(jax.random.key(0))
+
+    def step(scene, model, soft, bodies, control, *, num_substeps):
+        assert num_substeps == 2
+        after = bodies.replace(qvel=bodies.qvel + 1.0, unsolved=1.0 - jnp.minimum(bodies.qvel[0], 1.0))
+        return soft, after, physics.touch
+
+    monkeypatch.setattr(coupled_task.articulated, "step", step)
+    after, status = env.advance(physics, jnp.zeros(1))
+    assert float(after.rigid.qvel[0]) == 2.0 and float(after.rigid.unsolved) == 0.0
+    assert int(status) == Status.UNSOLVED
