@@ -82,6 +82,9 @@ def test_environments_page_runs_and_does_what_it_says():
     assert ant.model.parameters["body_mass"].shape == (3,)
     assert isinstance(names["rewax"].make("VariedDough", scale="small"), names["Randomized"])
     assert names["rewax"].make("SofterDough", scale="small").scene.material.elasticity.youngs_modulus == 500.0
+    dough, gentle = (names["rewax"].make(name, scale="small") for name in ("RollingFlat", "GentleRolling"))
+    fast = names["state"].physics.replace(action=np.full(3, 0.5, np.float32))
+    np.testing.assert_allclose(dough.reward(fast)[0] - gentle.reward(fast)[0], 0.075, rtol=1e-4)
 
 
 def test_viz_page_runs_and_does_what_it_says(tmp_path, monkeypatch):

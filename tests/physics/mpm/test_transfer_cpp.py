@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
-from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, locations, run
+from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, locations, program, run
 
 from rewax.lowering import build
 from rewax.physics.mpm import transfer_cpp, transfer_xla_cpu
@@ -35,7 +35,8 @@ def test_sums_of_many_particles(x64, dtype):
     layout = transfer_xla_cpu.Layout(grid, None)
     for name in KERNELS:
         given = inputs(name, where, (), grid.num_nodes, num, dtype)[0]
-        found, again, expected = (run(m, name, layout, given) for m in (transfer_cpp, transfer_cpp, transfer_xla_cpu))
+        kernel = program(transfer_cpp, name, layout, given).compile()
+        found, again, expected = kernel(*given), kernel(*given), run(transfer_xla_cpu, name, layout, given)
         for a, b, c in zip(found, again, expected, strict=True):
             assert a.dtype == dtype
             np.testing.assert_array_equal(a, b)
@@ -51,9 +52,10 @@ def test_environments_are_their_own(x64):
     for name in KERNELS:
         residuals, linear = inputs(name, where, (4,), layout.num_nodes, NUM)[0]
         together = run(transfer_cpp, name, layout, (residuals, linear))
-        for i in (0, 3):
-            alone = run(transfer_cpp, name, layout, jax.tree.map(lambda a, i=i: a[i], (residuals, linear)))
-            for a, b in zip(together, alone, strict=True):
+        each = [jax.tree.map(lambda a, i=i: a[i], (residuals, linear)) for i in (0, 3)]
+        kernel = program(transfer_cpp, name, layout, each[0]).compile()
+        for i, given in zip((0, 3), each, strict=True):
+            for a, b in zip(together, kernel(*given), strict=True):
                 assert np.isfinite(b).all()
                 np.testing.assert_array_equal(a[i], b)
         assert np.isnan(together[0][1]).any()
