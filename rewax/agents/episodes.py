@@ -22,7 +22,8 @@ def episode_metrics(running: Array, transitions: Transition) -> Metrics:
       ``episodes``: number of episodes that ended. ``failed_episodes``: number that ended by a numerical failure.
       ``status/<BIT>``: number of steps with that bit of ``Status``. ``failed_env``: index of the first environment that
       failed, -1 if none did. ``failed_leaf``: index of the array that was not finite there, for
-      ``rewax.envs.base.failed_leaf_name``. ``env/<name>``: means of the environment's own metrics.
+      ``rewax.envs.base.failed_leaf_name``. ``env/<name>``: means of the environment's own metrics over steps
+      that did not fail.
     """
     _, finished = running_returns(running, transitions)
     counted = jnp.isfinite(finished)
@@ -42,7 +43,7 @@ def episode_metrics(running: Array, transitions: Transition) -> Metrics:
         **bits,
         "failed_env": jnp.where(failed.any(), env, NO_LEAF),
         "failed_leaf": jnp.where(failed.any(), leaf, NO_LEAF),
-        **{f"env/{name}": value.mean(where=transitions.active) for name, value in transitions.metrics.items()},
+        **{f"env/{name}": value.mean(where=transitions.valid) for name, value in transitions.metrics.items()},
     }
 
 

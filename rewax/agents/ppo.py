@@ -220,7 +220,7 @@ def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batc
     obs = networks.normalize(state.environments.statistics, t.obs)
     batch = Batch(
         obs=masked(obs, t.valid),
-        **t.aux,
+        **masked(t.aux, t.valid),
         target=jnp.where(t.valid, (returns - statistics.mean["value"]) / _scale(statistics), 0.0),
         advantage=jnp.where(t.valid, (advantage - mean) / (deviation + 1e-8), 0.0),
         weight=t.valid.astype(returns.dtype),

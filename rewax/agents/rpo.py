@@ -32,7 +32,7 @@ from rewax.agents.first_order import Rollout, critic_update, rollout_loss, start
 from rewax.agents.gradients import clip_per_env, finite_per_env, per_env_gradients
 from rewax.agents.legal import Count, NonNegative
 from rewax.agents.optimizers import apply, finite_or_zero
-from rewax.agents.rollout import rollout
+from rewax.agents.rollout import masked, rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
@@ -147,13 +147,15 @@ def actor_epochs(
       finite: mask of the environments with finite derivatives, shape (num_envs,).
     """
     optimizer, t = actor_optimizer(networks), rollouts.transitions
+    counts = finite[:, None] & t.valid
+    obs = networks.normalize(state.environments.statistics, t.obs)
     loss = functools.partial(
         surrogate_loss,
         networks=networks,
-        obs=networks.normalize(state.environments.statistics, t.obs),
-        aux=t.aux,
+        obs=masked(obs, counts),
+        aux=masked(t.aux, counts),
         by_action=by_action,
-        counts=finite[:, None] & t.valid,
+        counts=counts,
         begins=t.begins if networks.config.memory else None,
     )
 

@@ -26,7 +26,7 @@ from rewax.agents.config import ActorCriticConfig, no_memory
 from rewax.agents.legal import Count, Natural, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
-from rewax.agents.rollout import Transition, rollout
+from rewax.agents.rollout import Transition, masked, rollout
 from rewax.agents.run_state import Environments, run_keys, start_environments
 from rewax.agents.temperature import SoftState, start_temperature, update_temperature
 from rewax.envs.base import Env, State
@@ -164,7 +164,8 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     rollout_of_one = functools.partial(act, networks=networks)
     shared = (state.actor_params, state.environments.statistics, warming_up)
     end, t = state.environments.map(rollout_of_one, shared, state.environments.split(rollout_key))
-    steps = Step(t.obs, t.action, t.reward, t.next_obs, t.terminated, t.done, t.valid)
+    obs, action, reward, next_obs = masked((t.obs, t.action, t.reward, t.next_obs), t.valid)
+    steps = Step(obs, action, reward, next_obs, t.terminated, t.done, t.valid)
     replay = replays.add(state.replay, jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), steps))
     state, episode_metrics = state.after(config, end, t, key)
 

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 import toys
 from agent_cases import CASES, ENV, agent, assert_same_bits, raw, trained
@@ -61,6 +62,33 @@ def test_it_reports_what_the_loop_needs(name):
     if name not in ("ahac", "sapo_from_demonstrations"):  # their iterations vary in length
         per_iteration = config.num_envs * config.steps_in(ENV)
         assert int(state.env_steps) == per_iteration * CASES[name].num_iterations
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_environment_that_begins_with_nan_does_not_stop_the_others(name):
+    """Such a reset is a failed episode, and its numbers reach neither gradients nor the replay buffer."""
+    state = agent(name).init(jax.random.key(3))
+    for _ in range(9 if name == "sac" else 4):  # SAC fills its replay buffer before it learns
+        state, _ = agent(name).train_step(state)
+
+    def broken(leaf):
+        return leaf.at[1].set(jnp.nan) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    environments = state.environments.replace(state=jax.tree.map(broken, state.environments.state))
+    starts = (state, jax.tree.map(jnp.copy, state.replace(environments=environments)))  # a step may consume its own
+    old, ends = jax.tree.map(jnp.copy, state), [agent(name).train_step(start) for start in starts]
+    restarts = name in ("trajopt", "apg_full", "sapo_from_demonstrations")  # an iteration begins with new episodes
+    assert [int(metrics["failed_episodes"]) for _, metrics in ends] == [0, 0 if restarts else 1]
+    unknown = [{key for key, value in metrics.items() if not np.isfinite(value)} - {"return"} for _, metrics in ends]
+    assert unknown[0] == unknown[1]
+    for part in ("actor_params", "critic_params", "actions"):
+        if hasattr(old, part):
+            healthy, other = (_moved(getattr(end, part), getattr(old, part)) for end, _ in ends)
+            assert 0.3 < other / healthy < 3.0, part
+
+
+def _moved(new, old) -> float:
+    return float(optax.tree.norm(jax.tree.map(jnp.subtract, new, old)))
 
 
 FEW = ("sapo",)
