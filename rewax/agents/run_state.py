@@ -1,6 +1,6 @@
 """The state of a run: environments, learnt parameters, counters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, Self, TypeVar
 
 import jax
@@ -106,10 +106,13 @@ class RunState(struct.Replaceable):
         """The state without the fields that differ between environments; ``Environments.common()``."""
         return self.replace(environments=self.environments.common())
 
-    def restarted(self) -> Self:
-        """The state with all environments at the beginning of new episodes."""
-        key, reset_key = jax.random.split(self.key)
-        return self.replace(environments=self.environments.restarted(reset_key), key=key)
+    def restarted(self, config: Hashable) -> Self:
+        """The state with environments in new episodes: at random times of them if ``config`` staggers episodes."""
+        key, reset_key, stagger_key = jax.random.split(self.key, 3)
+        environments = self.environments.restarted(reset_key)
+        if _staggers(config):
+            environments = staggered(environments, stagger_key)
+        return self.replace(environments=environments, key=key)
 
     def after(self, config: RunConfig, end: State, transitions: Transition, key: Key) -> tuple[Self, Metrics]:
         """The state after an iteration, with updated environments and counters; and the metrics of the episodes.
@@ -212,7 +215,7 @@ def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Envi
     if _normalizes(config):
         statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
     new = Environments(env=env, state=state, statistics=statistics, episode_return=jnp.zeros(num_envs))
-    return staggered(new, keys.stagger) if isinstance(config, PolicyOptions) and config.stagger_episodes else new
+    return staggered(new, keys.stagger) if _staggers(config) else new
 
 
 def staggered(environments: Environments, key: Key) -> Environments:
@@ -224,6 +227,10 @@ def staggered(environments: Environments, key: Key) -> Environments:
         # The first episode is shortened, so its return would not be comparable.
         episode_return=jnp.where(start > 0, jnp.nan, environments.episode_return),
     )
+
+
+def _staggers(config: Hashable) -> bool:
+    return isinstance(config, PolicyOptions) and config.stagger_episodes
 
 
 def _normalizes(config: RunConfig) -> bool:

@@ -139,6 +139,18 @@ def test_environments_start_apart_if_asked_to():
     np.testing.assert_array_equal(start(ENVS[0]).state.step_count, np.zeros(NUM))
 
 
+def test_new_episodes_begin_apart_if_the_run_does():
+    environments = start(ENVS[0])
+    state = RunState(environments=environments.replace(episode_return=jnp.full(NUM, 7.0)), key=jax.random.key(1))
+    together = state.restarted(CONFIG).environments
+    np.testing.assert_array_equal([together.state.step_count, together.episode_return], 0)
+    apart = state.restarted(dataclasses.replace(CONFIG, stagger_episodes=True)).environments
+    counts = np.asarray(apart.state.step_count)
+    assert len(set(counts)) > 1 and counts.min() >= 0 and counts.max() < LENGTH
+    np.testing.assert_array_equal(np.isnan(apart.episode_return), counts > 0)
+    state.restarted(None)  # an agent without options
+
+
 def test_seeds_side_by_side_are_each_seed_alone():
     agent = make_sapo(ENVS[1], CONFIG)
     keys = jax.random.split(jax.random.key(7), 2)

@@ -142,14 +142,16 @@ class FiniteCheck:
     """Finds non-finite numbers in the floating-point leaves of an agent's training state.
 
     Environment states are not checked, because a reset replaces them. Replay buffers are not checked either. Leaves
-    that are not finite at the beginning are never checked, such as returns of episodes that began before the run.
+    that are not finite at the beginning are never checked, and returns of episodes neither: NaN marks one that is not
+    known.
 
     Args:
       train_state: training state at the beginning of the run.
     """
 
     def __init__(self, train_state: Any) -> None:
-        self._checked = [_is_learnt(leaf) and _is_finite(leaf) for leaf in jax.tree.leaves(train_state, is_leaf=_ends)]
+        named = jax.tree.leaves_with_path(train_state, is_leaf=_ends)
+        self._checked = [_is_learnt(path, leaf) and _is_finite(leaf) for path, leaf in named]
         # On a CPU NumPy reads the arrays in place. XLA would compile a program, and gather them on one device.
         self._compiled = None if jax.default_backend() == "cpu" else jax.jit(all_finite)
 
@@ -167,9 +169,11 @@ def _ends(node: Any) -> bool:
     return isinstance(node, _NOT_LEARNT)
 
 
-def _is_learnt(leaf: Any) -> bool:
-    """Floating-point numbers, no environment states and replay buffers."""
-    return not _ends(leaf) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+def _is_learnt(path: Any, leaf: Any) -> bool:
+    """Floating-point numbers, no environment states, returns of episodes and replay buffers."""
+    if _ends(leaf) or jax.tree_util.keystr(path) == ".environments.episode_return":
+        return False
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
 
 
 def _is_finite(leaf: Any) -> bool:

@@ -77,7 +77,7 @@ def first_state(
         train_state = checkpoint.restore(
             run_dir,
             jax.eval_shape(agent.init, key),
-            restart=True,
+            restart=agent,
             set_aside=True,
             notify=lambda text: say(console, text),
         )

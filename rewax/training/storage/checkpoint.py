@@ -21,6 +21,7 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from rewax.agents.base import Agent
 from rewax.agents.run_state import RunState
 from rewax.training.storage.leaves import (
     ENTRIES,
@@ -146,7 +147,7 @@ def restore(
     like: T,
     *,
     step: int | None = None,
-    restart: bool = False,
+    restart: Agent | None = None,
     set_aside: bool = False,
     notify: Callable[[str], None] = _warn,
 ) -> T:
@@ -156,8 +157,8 @@ def restore(
       run_dir: directory of the run.
       like: a training state of the same structure, or its ``jax.eval_shape``; values are not used.
       step: iteration of the checkpoint; by default the newest that can be read.
-      restart: if only the state of the simulation has other fields, as that of another version of rewax, keep all that
-        was learnt and begin new episodes; needs a ``RunState``.
+      restart: the agent: if only the state of the simulation has other fields, as that of another
+        version of rewax, keep all that was learnt and begin new episodes. Needs a ``RunState``. None: raise an error.
       set_aside: rename the damaged checkpoints that were skipped, so that the run does not find them again.
       notify: called with a sentence about each damaged checkpoint that was skipped, and about new episodes; a Python
         warning by default.
@@ -166,7 +167,7 @@ def restore(
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
         (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
     """
-    return _newest(run_dir, lambda path: _read(path, like, notify if restart else None), step, set_aside, notify)
+    return _newest(run_dir, lambda path: _read(path, like, restart, notify), step, set_aside, notify)
 
 
 def stored_leaves(run_dir: str | Path) -> dict[str, Any]:
@@ -250,8 +251,8 @@ def _set_aside(path: Path, what: str) -> Path:
     return path.rename(path.with_name(name))
 
 
-def _read(path: Path, like: T, begin: Callable[[str], None] | None) -> T:
-    """A checkpoint as ``like``; ``begin`` is called before new episodes begin, None forbids them."""
+def _read(path: Path, like: T, restart: Agent | None, notify: Callable[[str], None]) -> T:
+    """A checkpoint as ``like``; ``restart`` and ``notify`` as for ``restore``."""
     described = _read_description(path)
     named = named_leaves(like)
     lost: set[str] = set()
@@ -259,20 +260,20 @@ def _read(path: Path, like: T, begin: Callable[[str], None] | None) -> T:
         check_structure(described, dict(named), path)
     except OtherStructure:
         lost = {name for name in {**described, **dict(named)} if name.startswith(_SIMULATED)}
-        if begin is None or not isinstance(like, RunState):
+        if restart is None or not isinstance(like, RunState):
             raise
         kept, wanted = ({n: v for n, v in of.items() if n not in lost} for of in (described, dict(named)))
         check_structure(kept, wanted, path)
     arrays = _read_arrays(path, described)
     leaves = [None if name in lost else from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
     read = jax.tree.unflatten(jax.tree.structure(like), leaves)
-    if not lost or begin is None:
+    if not lost or restart is None:
         return read
-    begin(
+    notify(
         f"note: the simulation of {path} had another state, as in another version of rewax: all that was learnt is "
         "kept, and new episodes begin"
     )
-    return jax.jit(type(read).restarted)(read)
+    return jax.jit(type(read).restarted, static_argnums=1)(read, restart.config)
 
 
 def _read_description(path: Path) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     agent = build_agent(name, env, stored)
     try:
         like = jax.eval_shape(agent.init, jax.random.key(0))
-        train_state = checkpoint.restore(run_dir, like, step=step, restart=True)
+        train_state = checkpoint.restore(run_dir, like, step=step, restart=agent)
     except checkpoint.OtherStructure as error:
         raise checkpoint.OtherStructure(
             f"{error}; if the agent drew parameters (randomize=...), give the environment with them: "

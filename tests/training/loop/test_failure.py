@@ -8,6 +8,7 @@ import pytest
 import toys
 
 from rewax import struct
+from rewax.agents.run_state import Environments, RunState
 from rewax.envs import base
 from rewax.envs.base import first_state
 from rewax.training.config import ReportConfig
@@ -115,6 +116,16 @@ def test_what_was_learnt_is_checked():
         poisoned = state.replace(weights={**state.weights, "b": jnp.array([1.0, bad])})
         assert check.first_bad(poisoned) == ".weights['b']"
     assert check.first_bad(state.replace(envs=envs.replace(physics=jnp.full(2, jnp.nan)))) == ""  # a reset heals it
+
+
+def test_a_return_of_an_episode_may_become_unknown():
+    """As where the run begins episodes at random times."""
+    environments = Environments(env=(), state=(), statistics={"mean": jnp.zeros(2)}, episode_return=jnp.zeros(2))
+    state = RunState(environments=environments, key=jnp.zeros(2, jnp.uint32))
+    check, unknown = FiniteCheck(state), jnp.array([jnp.nan, 0.0])
+    assert check.first_bad(state.replace(environments=environments.replace(episode_return=unknown))) == ""
+    bad = state.replace(environments=environments.replace(statistics={"mean": unknown}))
+    assert check.first_bad(bad) == ".environments.statistics['mean']"
 
 
 def test_impossible_options_are_refused():
