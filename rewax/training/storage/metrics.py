@@ -149,6 +149,7 @@ class WandbWriter:
             name=run_dir.name,
             id=path.read_text().strip(),
             resume="allow",
+            reinit="create_new",  # seeds side by side have a page each
             dir=str(run_dir),
             config=dict(config),
         )

@@ -112,11 +112,20 @@ class FakeWandb(types.ModuleType):
     def __init__(self):
         super().__init__("wandb")
         self.__spec__ = importlib.machinery.ModuleSpec("wandb", None)
-        self.begun, self.logged, self.axes, self.ended = [], [], [], 0
+        self.runs, self.active = [], None
 
     def init(self, **options):
-        self.begun.append(options)
-        return self
+        if self.active is None or options.get("reinit") == "create_new":
+            self.active = FakeRun(self, options)
+            self.runs.append(self.active)
+        return self.active
+
+
+class FakeRun:
+    """A page: its options, rows and axes."""
+
+    def __init__(self, wandb, options):
+        self.wandb, self.options, self.logged, self.axes, self.ended = wandb, options, [], [], 0
 
     def define_metric(self, name, step_metric=None):
         self.axes.append((name, step_metric))
@@ -125,7 +134,7 @@ class FakeWandb(types.ModuleType):
         self.logged.append(values)
 
     def finish(self):
-        self.ended += 1
+        self.ended, self.wandb.active = self.ended + 1, None
 
 
 def test_weights_and_biases_get_finite_numbers_and_resumed_runs_go_on_in_their_place(tmp_path, monkeypatch):
@@ -136,11 +145,23 @@ def test_weights_and_biases_get_finite_numbers_and_resumed_runs_go_on_in_their_p
         writer.write(iteration, {"return": np.float32(0.5), "loss": np.float32(np.nan)})
         writer.write(iteration, {"mean": 2.0}, prefix="eval")
         writer.close()
-    (first, again) = [(one["project"], one["name"], one["id"]) for one in fake.begun]
+    (first, again) = [(run.options["project"], run.options["name"], run.options["id"]) for run in fake.runs]
     assert first == again and first[:2] == ("dough", tmp_path.name) and len(first[2]) == 8
-    assert fake.begun[0]["resume"] == "allow" and fake.begun[0]["config"] == {"env": "RollingFlat"}
-    assert fake.logged[:2] == [{"iteration": 1, "train/return": 0.5}, {"iteration": 1, "eval/mean": 2.0}]
-    assert ("*", "iteration") in fake.axes and fake.ended == 2
+    page = fake.runs[0]
+    assert page.options["resume"] == "allow" and page.options["config"] == {"env": "RollingFlat"}
+    assert page.logged == [{"iteration": 1, "train/return": 0.5}, {"iteration": 1, "eval/mean": 2.0}]
+    assert ("*", "iteration") in page.axes and [run.ended for run in fake.runs] == [1, 1]
+
+
+def test_seeds_side_by_side_have_a_page_each_on_weights_and_biases(tmp_path, monkeypatch):
+    fake = FakeWandb()
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    for seed in (0, 1):
+        (tmp_path / str(seed)).mkdir()
+    writers = [WandbWriter("dough", tmp_path / str(seed), {}) for seed in (0, 1)]
+    for seed, writer in enumerate(writers):
+        writer.write(1, {"return": float(seed)})
+    assert [run.logged for run in fake.runs] == [[{"iteration": 1, "train/return": float(seed)}] for seed in (0, 1)]
 
 
 def test_without_weights_and_biases_there_is_a_sentence(tmp_path, monkeypatch):
