@@ -113,7 +113,9 @@ def _checked(options: Options) -> str:
         raise ValueError(f"video-size is {' '.join(map(str, options.video_size))}: give even numbers from 2 on")
     for name, ending in (("json", ".json"), ("video_path", ".mp4")):
         path = getattr(options, name)
-        if path is not None and (Path(path).suffix != ending or not Path(path).parent.is_dir()):
+        if path is None:
+            continue
+        if Path(path).suffix != ending or Path(path).is_dir() or not Path(path).parent.is_dir():
             raise ValueError(f"{name.replace('_', '-')} is {path}: give a file {ending} in a folder that exists")
     return where
 

@@ -71,7 +71,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-        print(f"error: {error.filename} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
+        path = error.filename2 or error.filename  # the second one is that which a file was to be renamed to
+        print(f"error: {path} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
         return _BAD_INPUT
     except OSError as error:
         if error.errno in _NO_SPACE:

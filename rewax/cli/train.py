@@ -182,7 +182,7 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--env", default=None)
     parser.add_argument("--env-from", default="")
     parser.add_argument("--env-from-values", action="store_true")
-    parser.add_argument("--sensors", nargs="*", default=[])
+    parser.add_argument("--sensors", nargs="*", default=None)
     parser.add_argument("--resolution", type=int, default=None)
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
@@ -202,6 +202,8 @@ def _look_ahead(argv: Sequence[str]) -> Any:
 
 def _sensor_arguments(first: Any) -> dict[str, Any]:
     """Arguments of ``rewax.make`` for the sensors of the command line; a resumed run keeps its own."""
+    if first.sensors == []:
+        raise ValueError("--sensors stands without names: give some, for example --sensors camera")
     if first.resolution is not None and not first.sensors:
         raise ValueError("--resolution is that of sensors: name them, for example --sensors camera")
     if not first.sensors:

@@ -97,11 +97,14 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
         (["--set=gain=1", "--set=gain=2"], "--set names gain twice: give all its values at once"),
         (["--video-size", "7", "8"], "video-size is 7 8: give even numbers from 2 on"),
         (["--video-path=nowhere/a.mp4"], "video-path is nowhere/a.mp4: give a file .mp4 in a folder that exists"),
+        (["--json=folder.json"], "json is folder.json: give a file .json in a folder that exists"),
         (["--json=a.txt"], "json is a.txt: give a file .json in a folder that exists"),
         (["--seed=-1"], "seed is -1: give an integer from 0 to 4294967295"),
     ],
 )
-def test_options_are_refused_before_an_episode_is_computed(run, monkeypatch, capsys, argv, sentence):
+def test_options_are_refused_before_an_episode_is_computed(run, tmp_path, monkeypatch, capsys, argv, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.json").mkdir()
     monkeypatch.setattr(episodes, "_evaluate", lambda *args: pytest.fail("evaluated first"))
     assert main(["eval", str(run), *argv]) == 2
     assert sentence in capsys.readouterr().err

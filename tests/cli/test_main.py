@@ -124,3 +124,12 @@ def test_the_examples_are_these_commands(tmp_path):
             check=True,
         )
         assert f"rewax {words[0]}" in done.stdout and words[1] in done.stdout
+
+
+def test_a_file_that_a_directory_keeps_from_its_place_is_named(monkeypatch, capsys):
+    def write(argv):
+        raise IsADirectoryError(21, "Is a directory", ".writing-a.json", None, "a.json")
+
+    monkeypatch.setattr("rewax.cli.main._run", write)
+    assert main(["eval"]) == 2
+    assert capsys.readouterr().err == "error: a.json cannot be written or read (Is a directory): choose another\n"

@@ -49,6 +49,7 @@ def test_a_run_keeps_its_sensors(train):
     ("argv", "sentence"),
     [
         (["--env=Ball", "--resolution=8"], "--resolution is that of sensors: name them, for example --sensors camera"),
+        (["--env=Ball", "--sensors"], "--sensors stands without names: give some, for example --sensors camera"),
         (["--env=Ball", "--sensors", "radar"], "there is no sensor named 'radar': known are camera, cloud, labels"),
         (["--env=PointMass", "--sensors", "camera"], "PointMass has neither a default_camera nor world(physics, up)"),
     ],

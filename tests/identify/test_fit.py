@@ -1,5 +1,7 @@
 """Fits whose answer is known by hand: found, doubted where data are silent, bounded, robust, the same every time."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import sliding_block
 
 import rewax
 from rewax.envs.randomize import LogNormal, LogUniform, Normal, Uniform
+from rewax.envs.randomize.stored import FORMAT
 from rewax.identify import identify, load_result, minimize, one_sided_chamfer
 from rewax.identify.evaluation import evaluate
 from rewax.identify.fit import cut_off
@@ -157,6 +160,8 @@ def test_a_result_is_read_back_as_environment_and_distribution(fitted, tmp_path)
     (tmp_path / "bad.json").write_text("{}")
     with pytest.raises(ValueError, match="is no result of this version"):
         load_result(tmp_path / "bad.json")
+    (tmp_path / "brief.json").write_text(json.dumps({"format": FORMAT, "values": {}, "unknowns": []}))
+    assert load_result(tmp_path / "brief.json").made_by is None
     with pytest.raises(ValueError, match="there is no result"):
         load_result(tmp_path / "absent.json")
 

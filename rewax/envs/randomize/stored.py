@@ -35,7 +35,7 @@ def read_result(path: str | Path) -> dict[str, Any]:
         if found["format"] != FORMAT:
             raise KeyError("format")
         draws_of(found["unknowns"])
-        return {**found, "values": {name: float(value) for name, value in found["values"].items()}}
+        return {"made_by": None, **found, "values": {name: float(value) for name, value in found["values"].items()}}
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError, UnicodeDecodeError):
         raise ValueError(f"{str(path)!r} is no result of this version: {_REMEDY}") from None
 

@@ -25,6 +25,8 @@ from rewax.training.storage.metrics import CsvWriter, TensorBoardWriter, WandbWr
 from rewax.training.storage.schedule import Schedule, due_rows, lost_rows
 from rewax.types import Key
 
+RESUMED = "(rewax train with --resume, in Python TrainConfig(..., resume=True))"
+"""How a command that is repeated continues a run; ``rewax bench`` and ``rewax tune`` do so by themselves."""
 _REMEDY = "smaller learning rates or rewards, or a smaller max_env_grad_norm or max_grad_norm help"
 
 
@@ -235,8 +237,7 @@ class Run:
             done = f"stopped after iteration {self.iteration} of {self._last_iteration}"
             ended = self.config.over(self.iteration, self.env_steps)
             rest = "does the final evaluation of" if ended else "continues from"
-            again = "the same command with --resume"
-            self.say(f"{done}: {again} {rest} {self.run_dir} (in Python: TrainConfig(..., resume=True))")
+            self.say(f"{done}: the same command {rest} {self.run_dir} {RESUMED}")
         return TrainResult(self.train_state, row, stop.signum, self.failure)
 
     def _how_it_failed(self) -> str:

@@ -21,7 +21,7 @@ from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, pl
 from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
-from rewax.training.loop.run import Run, TrainResult
+from rewax.training.loop.run import RESUMED, Run, TrainResult
 from rewax.training.loop.start import first_state
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
@@ -39,9 +39,7 @@ from rewax.types import Key
 _EVALUATION_STREAM = 0x5EED  # folded into the seed: evaluation and training draw different random numbers
 _NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
 NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
-NOTHING_LOST = (
-    "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
-)
+NOTHING_LOST = f"stopped before the first iteration: the same command continues from the checkpoint {RESUMED}"
 _ANEW = ("env", "scale", "env_kwargs", "agent", "versions")
 """Entries of ``config.json`` that a resumed run does not take over."""
 FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
@@ -142,7 +140,7 @@ def _kept(run_dir: str) -> str:
     newest = checkpoint.latest_step(run_dir)
     if newest is None:
         return "nothing was trained"
-    return f"the checkpoint of iteration {newest} is kept, and the same command with --resume continues from it"
+    return f"the checkpoint of iteration {newest} is kept, and the same command continues from it {RESUMED}"
 
 
 @contextlib.contextmanager

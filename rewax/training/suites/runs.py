@@ -129,14 +129,14 @@ def _claim(suite: Suite, out_dir: Path) -> None:
     options = plain({name: getattr(suite, name) for name in names})
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
-        stored = {"env_options": {}, **json.loads(path.read_text())} if path.is_file() else options
+        stored = {"env_options": {}, **dict(json.loads(path.read_text()))} if path.is_file() else options
         if not path.is_file():
             with replacing(path) as unfinished:
                 unfinished.write_text(json.dumps(options, indent=1) + "\n")
-    except (OSError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, TypeError) as error:  # of the disk, of json and of dict
         raise ValueError(f"{out_dir} cannot hold results ({error}): choose another directory (--out)") from None
     if stored != options:
-        odd = next(name for name in names if stored.get(name) != options[name])
+        odd = next(name for name in {**options, **stored} if stored.get(name) != options.get(name))
         raise ValueError(f"{out_dir} holds results with other {odd}: choose another directory (--out)")
 
 

@@ -46,12 +46,14 @@ class Suite:
             if not isinstance(value, (list, tuple)) or not value:
                 raise ValueError(f"{name} of the suite {self.name} is {value!r}: give a list with at least one entry")
             object.__setattr__(self, name, tuple(value))
+            if name != "seeds" and (odd := [one for one in value if not isinstance(one, str)]):
+                raise ValueError(f"{name} of the suite {self.name} have the entry {odd[0]!r}: give names in quotes")
+            if name == "seeds" and not all(map(SEED.holds, value)):
+                raise ValueError(
+                    f"seeds of the suite {self.name} are {list(value)}: give integers from 0 to 4294967295"
+                )
             if len(set(value)) < len(value):
                 raise ValueError(f"{name} of the suite {self.name} are {list(value)}: name each of them once")
-        if not all(map(SEED.holds, self.seeds)):
-            raise ValueError(
-                f"seeds of the suite {self.name} are {list(self.seeds)}: give integers from 0 to 4294967295"
-            )
         for name in ("steps", "options", "env_options"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} of the suite {self.name} is no table: write [{name}] above its entries")
@@ -129,10 +131,10 @@ def read_suite(source: str | Path) -> Suite:
             raise ValueError(
                 f"there is no suite {str(source)!r}: use {', '.join(BUILT_IN)}, or the path of a TOML file"
             )
-        text, name = path.read_text(), path.stem
+        text, name = None, path.stem
     try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(path.read_text() if text is None else text)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{source} is not TOML ({error}): correct it") from None
     fields = {field.name for field in dataclasses.fields(Suite)} - {"name"}
     if unknown := sorted(set(content) - fields):

@@ -1,6 +1,7 @@
 """Search spaces of hyper-parameters from TOML: options of an algorithm and their ranges."""
 
 import dataclasses
+import math
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -59,7 +60,7 @@ def read_space(name: str, path: str | Path | None = None) -> dict[str, Range]:
         raise ValueError(f"there is no file {str(path)!r} with a search space: check the path")
     try:
         content = tomllib.loads(file.read_text())
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not TOML ({error}): correct it") from None
     table = content.get(name)
     if not isinstance(table, Mapping) or not table:
@@ -82,9 +83,11 @@ def _range(name: str, option: str, entry: Any, known: set[str]) -> Range:
             raise ValueError(f"choices of {option} are {choices!r}: give a list with at least one entry")
         return Range(choices=tuple(tuple(one) if isinstance(one, list) else one for one in choices))
     low, high, log = entry["low"], entry["high"], entry.get("log", False)
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (low, high))
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in (low, high))
     if not numbers or not isinstance(log, bool) or not low < high or (log and low <= 0):
-        raise ValueError(f"the search space of {option} is {dict(entry)!r}: give low < high, above 0 with log = true")
+        raise ValueError(
+            f"the search space of {option} is {dict(entry)!r}: give finite numbers low < high, above 0 with log = true"
+        )
     return Range(low, high, log)
 
 

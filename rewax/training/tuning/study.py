@@ -4,7 +4,7 @@ import importlib
 import importlib.util
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,20 +112,22 @@ def _turn(out_dir: Path) -> Iterator[None]:
 def _claim(task: Task, space: Space, out_dir: Path) -> None:
     """Write task and space to ``study.json``, or compare with it: other trials need another study."""
     path = out_dir / "study.json"
-    ours = json.loads(
-        json.dumps(plain({"task": task, "space": {name: dict(r._asdict()) for name, r in space.items()}}))
-    )
+    content = plain({"task": task, "space": {name: dict(r._asdict()) for name, r in space.items()}})
+    ours = _entries(json.loads(json.dumps(content)))
     try:
-        stored = json.loads(path.read_text()) if path.is_file() else ours
-    except json.JSONDecodeError as error:
+        stored = _entries(json.loads(path.read_text())) if path.is_file() else ours
+    except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{path} cannot be read ({error}): choose another directory (--out)") from None
     if stored != ours:
-        ours, stored = ({**content["task"], "space": content["space"]} for content in (ours, stored))
-        odd = next(name for name in ours if stored.get(name) != ours[name])
+        odd = next(name for name in {**ours, **stored} if stored.get(name) != ours.get(name))
         raise ValueError(f"{out_dir} holds a search with other {odd}: choose another directory (--out)")
     if not path.is_file():
         with replacing(path) as unfinished:
-            unfinished.write_text(json.dumps(ours, indent=1) + "\n")
+            unfinished.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _entries(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {**content["task"], "space": content["space"]}
 
 
 def _next_trial(study: Any, out_dir: Path, num_trials: int, held: ExitStack) -> Any:

@@ -48,7 +48,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_saved_is_lost(tmp_path):
     assert "Traceback" not in done.stderr and "Errno" not in done.stderr, done.stderr
     assert done.stderr.splitlines()[-1] == (
         "error: a cannot be written to (File too large): free some space; the checkpoint of iteration 2 is kept, and the "
-        "same command with --resume continues from it"
+        "same command continues from it (rewax train with --resume, in Python TrainConfig(..., resume=True))"
     )
     assert checkpoint.steps(tmp_path / "a") == [1, 2] and read_config(tmp_path / "a")
     agent = toys.make_toy(toys.point_mass())

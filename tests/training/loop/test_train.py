@@ -159,7 +159,9 @@ def test_a_signal_finishes_the_iteration_and_resumes_bit_for_bit(whole, tmp_path
     assert stopped.signum == signum and signal.getsignal(signum) is before
     assert int(stopped.train_state.iteration) == checkpoint.latest_step(tmp_path) == 3
     assert "stopping after this iteration" in text
-    assert f"stopped after iteration 3 of 8: the same command with --resume continues from {tmp_path}" in text
+    assert (
+        f"stopped after iteration 3 of 8: the same command continues from {tmp_path} (rewax train with --resume" in text
+    )
     assert "in Python: TrainConfig(..., resume=True)" in text
     assert (tmp_path / "learning_curve.png").stat().st_size > 5000
     resumed, _ = run(tmp_path, resume=True)

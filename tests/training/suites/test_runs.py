@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import io
+import json
 import shutil
 import signal
 
@@ -211,6 +212,13 @@ def test_results_of_other_options_are_not_mixed(suite, tmp_path):
     other = dataclasses.replace(suite, num_eval_episodes=9)
     with pytest.raises(ValueError, match=r"holds results with other num_eval_episodes: choose another directory"):
         run(other, tmp_path)
+    stored = json.loads((tmp_path / "suite.json").read_text())
+    (tmp_path / "suite.json").write_text(json.dumps({**stored, "gravity": 1}))  # of another version
+    with pytest.raises(ValueError, match=r"holds results with other gravity: choose another directory"):
+        run(suite, tmp_path)
+    (tmp_path / "suite.json").write_text("[1]")
+    with pytest.raises(ValueError, match=r"cannot hold results .*: choose another directory \(--out\)"):
+        run(suite, tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match=r"file cannot hold results .*: choose another directory \(--out\)"):
         run(suite, tmp_path / "file")

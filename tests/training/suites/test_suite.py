@@ -45,6 +45,12 @@ def test_options_of_an_environment(tmp_path):
         (TASK.replace("ppo", "pppo"), "there is no algorithm named 'pppo': did you mean 'ppo'?"),
         (TASK.replace("[0, 3]", "[0, -3]"), "give integers from 0 to 4294967295"),
         (TASK.replace("[0, 3]", "[0, 4294967296]"), "give integers from 0 to 4294967295"),
+        (TASK.replace("[0, 3]", "[[0]]"), "give integers from 0 to 4294967295"),
+        (
+            TASK.replace('["Hopper"]', '[["Hopper"]]'),
+            "tasks of the suite mine have the entry ['Hopper']: give names in",
+        ),
+        (TASK.replace('"ppo"', "3"), "algorithms of the suite mine have the entry 3: give names in quotes"),
         (TASK.replace("[0, 3]", "[0, 0]"), "seeds of the suite mine are [0, 0]: name each of them once"),
         (TASK.replace("[0, 3]", "3"), "seeds of the suite mine is 3: give a list with at least one entry"),
         (TASK + "steps = 5\n", "steps of the suite mine is no table"),
@@ -59,11 +65,12 @@ def test_options_of_an_environment(tmp_path):
         (TASK + "[env_options]\nHopper = 3\n", "is no table: write [env_options.Hopper]"),
         (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is not one of its algorithms"),
         ("scale = ", "is not TOML"),
+        (b"scale = \xff", "is not TOML"),
     ],
 )
 def test_a_suite_that_cannot_be_is_one_sentence(tmp_path, text, sentence):
     path = tmp_path / "mine.toml"
-    path.write_text(text)
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError) as caught:
         read_suite(path)
     assert sentence in str(caught.value) and "\n" not in str(caught.value)

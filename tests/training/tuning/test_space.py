@@ -46,16 +46,18 @@ def test_integers_are_those_between_integers():
     ("text", "sentence"),
     [
         ("[ppo]\nepoch = {low = 1, high = 2}", "ppo has no option 'epoch'"),
-        ("[ppo]\nepochs = {low = 2, high = 1}", "give low < high"),
+        ("[ppo]\nepochs = {low = 2, high = 1}", "give finite numbers low < high"),
+        ("[ppo]\nepochs = {low = 1, high = inf}", "give finite numbers low < high"),
         ("[ppo]\nepochs = {low = 0, high = 1, log = true}", "above 0 with log = true"),
         ("[ppo]\nepochs = 3", "the search space of epochs is 3: write {low"),
         ("[ppo]\nepochs = {choices = []}", "choices of epochs are \\[\\]"),
         ("[sac]\nupdates = {low = 1, high = 2}", "has no table \\[ppo\\] for ppo"),
         ("[ppo", "is not TOML"),
+        ("[ppo]\n# \udcff", "is not TOML"),
     ],
 )
 def test_a_space_that_cannot_be_is_refused(tmp_path, text, sentence):
-    (tmp_path / "space.toml").write_text(text)
+    (tmp_path / "space.toml").write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ValueError, match=sentence):
         read_space("ppo", tmp_path / "space.toml")
 

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import io
+import json
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 
@@ -174,6 +175,13 @@ def test_another_search_does_not_belong_into_the_directory(tmp_path, monkeypatch
     search(tmp_path, 1)
     with pytest.raises(ValueError, match="holds a search with other seeds: choose another directory"):
         search(tmp_path, 1, dataclasses.replace(TASK, seeds=(7,)))
+    stored = json.loads((tmp_path / "study.json").read_text())
+    (tmp_path / "study.json").write_text(json.dumps({**stored, "task": {**stored["task"], "gravity": 1}}))
+    with pytest.raises(ValueError, match="holds a search with other gravity: choose another directory"):
+        search(tmp_path, 1)
+    (tmp_path / "study.json").write_text("[1]")
+    with pytest.raises(ValueError, match=r"study\.json cannot be read .*: choose another directory"):
+        search(tmp_path, 1)
 
 
 def test_processes_share_a_study(tmp_path, monkeypatch):
