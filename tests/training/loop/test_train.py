@@ -14,6 +14,7 @@ from rich.console import Console
 from rewax import struct
 from rewax.training.config import TrainConfig
 from rewax.training.evaluation import report
+from rewax.training.loop.run import RESUMED
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint, leaves
 from rewax.training.storage.description import read_config
@@ -159,10 +160,7 @@ def test_a_signal_finishes_the_iteration_and_resumes_bit_for_bit(whole, tmp_path
     assert stopped.signum == signum and signal.getsignal(signum) is before
     assert int(stopped.train_state.iteration) == checkpoint.latest_step(tmp_path) == 3
     assert "stopping after this iteration" in text
-    assert (
-        f"stopped after iteration 3 of 8: the same command continues from {tmp_path} (rewax train with --resume, in Python TrainConfig(..., resume=True))"
-        in text
-    )
+    assert f"stopped after iteration 3 of 8: the same command continues from {tmp_path} {RESUMED}" in text
     assert (tmp_path / "learning_curve.png").stat().st_size > 5000
     resumed, _ = run(tmp_path, resume=True)
     assert bits(resumed.train_state) == bits(result.train_state)
