@@ -42,7 +42,8 @@ def need_optuna() -> None:
 def run_study(task: Task, space: Space, env: Env, out_dir: str | Path, num_trials: int, console: Console) -> int:
     """Do trials until the study has ``num_trials``, including those of other processes.
 
-    The first trial is the preset. An interrupted trial is repeated. A failed trial ranks last.
+    The first trial is the preset. An interrupted trial is repeated. A failed trial ranks last. Processes know each
+    other's running trials by locks of files: on a file system without ``flock``, only one process may work on a study.
 
     Args:
       task: what a trial trains.
