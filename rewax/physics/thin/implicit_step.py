@@ -127,13 +127,13 @@ def _correction_jvp(primals: tuple[Vec3, Context], tangents: tuple[Vec3, Context
     residual, (scene, bound, known, x) = primals
     settings = scene.stepper
     matrix = curvature(scene, known, x, jnp.ones_like(bound[0]))
-    inverse = newton.inverse_blocks(blocks(scene, bound, known, x))
+    factors = newton.factor_blocks(blocks(scene, bound, known, x))
 
     def solve(matrix: Linear, b: Vec3) -> Vec3:
         found = newton.conjugate_gradients(
             matrix,
             b,
-            lambda r: newton.apply_blocks(inverse, r),
+            lambda r: newton.solve_blocks(factors, r),
             tolerance=settings.gradient_tolerance,
             iterations=10 * settings.cg_iterations,
         )

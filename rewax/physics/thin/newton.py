@@ -21,7 +21,8 @@ SUFFICIENT = 0.8
 """A step is taken where the slope along it is at most this share of minus the slope at its beginning: then the
 trapezoidal rule finds that the potential fell."""
 RIDGE = 1e-6
-"""Share of its trace that is added to the diagonal of a block, so that rounding leaves it positive definite."""
+"""Share of its trace that is added to the diagonal of a block, and the least pivot, so that rounding leaves it positive
+definite."""
 
 
 class Blocks(NamedTuple):
@@ -31,6 +32,15 @@ class Blocks(NamedTuple):
     """xx, yy, zz."""
     mixed: Vec3
     """yz, zx, xy."""
+
+
+class Factors(NamedTuple):
+    """L D L^T of symmetric positive definite 3x3 blocks, arrays (num_vertices,)."""
+
+    inverse: Vec3
+    """1 / D."""
+    lower: Vec3
+    """L: yx, zx, zy."""
 
 
 class Solved(NamedTuple):
@@ -97,7 +107,9 @@ def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolera
 
     start = At(zero, b, z, first, jnp.zeros((), jnp.int32), jnp.zeros_like(first, bool))
     end = jax.lax.while_loop(goes_on, step, start)
-    return Solved(end.x, (end.rz <= tolerance**2 * first) & ~end.negative, end.negative)
+    # A preconditioner that rounding has made indefinite gives a negative square of a norm, and no solution.
+    positive = (first >= 0) & (end.rz >= 0)
+    return Solved(end.x, (end.rz <= tolerance**2 * first) & positive & ~end.negative, end.negative)
 
 
 @pointwise
@@ -145,11 +157,11 @@ def minimize(
         done: Array
 
     def step(at: At) -> At:
-        inverse = inverse_blocks(blocks(at.x))
+        factors = factor_blocks(blocks(at.x))
         found = conjugate_gradients(
             curvature(at.x, at.exact),
             cp.scale(-1.0, at.g),
-            lambda r: apply_blocks(inverse, r),
+            lambda r: solve_blocks(factors, r),
             tolerance=cg_tolerance,
             iterations=cg_iterations,
         )
@@ -193,33 +205,42 @@ def _halve(
 # --- Blocks -----------------------------------------------------------------------------------------------------------
 
 
-def inverse_blocks(blocks: Blocks) -> Blocks:
-    """Inverses of positive definite blocks. Gradient: exact."""
-    return _inverse((), blocks)
+def factor_blocks(blocks: Blocks) -> Factors:
+    """Factors of positive definite blocks. Gradient: exact.
+
+    Cofactors and the determinant would lose all digits where one direction is a million times as stiff as another, as
+    along a straight rope: in float32 the inverse was then not even positive.
+    """
+    return _factors((), blocks)
 
 
 @pointwise
-def _inverse(shared: tuple, blocks: Blocks) -> Blocks:
+def _factors(shared: tuple, blocks: Blocks) -> Factors:
     del shared
     ridge = RIDGE * (blocks.diagonal[0] + blocks.diagonal[1] + blocks.diagonal[2])
-    a, b, c = (d + ridge for d in blocks.diagonal)
-    f, g, h = blocks.mixed
-    diagonal = (b * c - f * f, c * a - g * g, a * b - h * h)
-    mixed = (g * h - a * f, h * f - b * g, f * g - c * h)
-    det = a * diagonal[0] + h * mixed[2] + g * mixed[1]
-    return Blocks(cp.scale(1.0 / det, diagonal), cp.scale(1.0 / det, mixed))
+    xx, yy, zz = (d + ridge for d in blocks.diagonal)
+    yz, zx, xy = blocks.mixed
+    lower_yx, lower_zx = xy / xx, zx / xx
+    second = jnp.maximum(yy - lower_yx * xy, ridge)
+    rest = yz - lower_zx * xy
+    lower_zy = rest / second
+    third = jnp.maximum(zz - lower_zx * zx - lower_zy * rest, ridge)
+    return Factors((1.0 / xx, 1.0 / second, 1.0 / third), (lower_yx, lower_zx, lower_zy))
 
 
-def apply_blocks(blocks: Blocks, vectors: Vec3) -> Vec3:
-    """Products of blocks with vectors. Gradient: exact."""
-    return _apply((), (blocks, vectors))
+def solve_blocks(factors: Factors, vectors: Vec3) -> Vec3:
+    """Solutions of the systems of all blocks. Gradient: exact."""
+    return _solve((), (factors, vectors))
 
 
 @pointwise
-def _apply(shared: tuple, given: tuple[Blocks, Vec3]) -> Vec3:
+def _solve(shared: tuple, given: tuple[Factors, Vec3]) -> Vec3:
     del shared
-    (d, m), v = given
-    return cp.vector(lambda i: d[i] * v[i] + m[(i + 2) % 3] * v[(i + 1) % 3] + m[(i + 1) % 3] * v[(i + 2) % 3])
+    (inverse, (yx, zx, zy)), (x, y, z) = given
+    y = y - yx * x
+    z = inverse[2] * (z - zx * x - zy * y)
+    y = inverse[1] * y - zy * z
+    return inverse[0] * x - yx * y - zx * z, y, z
 
 
-__all__ = ["Blocks", "Minimum", "Solved", "apply_blocks", "conjugate_gradients", "inner", "inverse_blocks", "minimize"]
+__all__ = ["Blocks", "Minimum", "Solved", "conjugate_gradients", "factor_blocks", "inner", "minimize", "solve_blocks"]

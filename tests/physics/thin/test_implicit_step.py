@@ -10,7 +10,7 @@ from implicit_cases import CASES, TIGHT, known, met, noise, touched
 from thin_bodies import LINE, SHEET, STEP, cloth_scene, rope_scene, run
 
 from rewax.physics import thin
-from rewax.physics.contact.penalty import PenaltyContact
+from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import implicit_step, newton
 from rewax.status import Status
@@ -198,3 +198,45 @@ def test_where_all_vertices_are_held_nothing_is_left_to_solve(x64):
     end = STEP(scene, thin.initial_state(mesh.vertices), thin.static_poses(1, dtype=float), pins=pins[None])
     np.testing.assert_allclose(end.x, pins)
     assert thin.check_status(scene, end) == 0
+
+
+def oblique(contact: bool, dtype):
+    """A scene in which one direction, which no axis has, is ten thousand times as stiff as others."""
+    n, along = np.ones(3) / np.sqrt(3.0), np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    if contact:
+        along = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    mesh = thin.rope(np.arange(4)[:, None] * 0.01 * along)
+    rope = thin.Rope(stretch=1.0 if contact else 1e4, bending=0.0 if contact else 1e-6, density=0.01)
+    touched = {
+        "ground": Ground(normal=jnp.asarray(n, dtype), height=1e-9),
+        "contact": PenaltyContact(stiffness=1e6),
+    }
+    scene = thin.make_scene(
+        mesh=mesh,
+        dt=5e-3,
+        rope=rope,
+        held=[] if contact else [0],
+        stepper=thin.Implicit(),
+        **touched if contact else {},
+    )
+    return scene, thin.initial_state(jnp.asarray(mesh.vertices, dtype))
+
+
+@pytest.mark.parametrize("contact", [False, True], ids=["rope", "ground"])
+def test_a_stiff_oblique_direction_has_the_same_gradient_in_float32(contact):
+    """A preconditioner that rounding made indefinite ended the iteration at once: no motion, no gradient, no bit."""
+    found = []
+    for x64, dtype in ((True, jnp.float64), (False, jnp.float32)):
+        with jax.enable_x64(x64):
+            scene, state = oblique(contact, dtype)
+
+            def moved(gravity, scene=scene, state=state):
+                end = thin.step(scene.replace(gravity=gravity), state, thin.static_poses(1 if contact else 2))
+                return jnp.sum((end.x - state.x)[-1] * jnp.array([1.0, 2.0, 3.0])), end
+
+            gravity = jnp.array([0.0, -9.81, 0.0], dtype)
+            (_, end), slope = jax.jit(jax.value_and_grad(moved, has_aux=True))(gravity)
+            assert slope.dtype == dtype and thin.check_status(scene, end) == Status.OK
+            found.append([np.asarray(a, np.float64) for a in (end.x - state.x, slope)])
+    for exact, single in zip(*found, strict=True):
+        np.testing.assert_allclose(single, exact, atol=0.03 * np.abs(exact).max())

@@ -36,9 +36,9 @@ def diagonal_blocks(matrix):
 
 def test_conjugate_gradients_solve(x64):
     matrix, b = spread(), np.sin(np.arange(3.0 * COUNT))
-    inverse = newton.inverse_blocks(diagonal_blocks(matrix))
+    factors = newton.factor_blocks(diagonal_blocks(matrix))
     found = newton.conjugate_gradients(
-        linear(matrix), field(b), lambda r: newton.apply_blocks(inverse, r), tolerance=1e-12, iterations=40
+        linear(matrix), field(b), lambda r: newton.solve_blocks(factors, r), tolerance=1e-12, iterations=40
     )
     assert found.solved and not found.negative
     np.testing.assert_allclose(flat(found.x), np.linalg.solve(matrix, b), rtol=1e-9)
@@ -55,20 +55,47 @@ def test_a_direction_of_negative_curvature_ends_the_solution_downhill(x64):
     assert none.solved and not none.negative
 
 
-def test_inverse_blocks_are_inverses(x64):
-    rng = np.random.default_rng(1)
-    a = rng.standard_normal((COUNT, 3, 3))
-    a = a @ a.swapaxes(1, 2) + np.eye(3)
-    blocks = newton.Blocks(
+def test_an_indefinite_preconditioner_solves_nothing(x64):
+    """The square of its first norm is negative, and so below any tolerance."""
+    matrix, b = spread(), np.sin(np.arange(3.0 * COUNT))
+    found = newton.conjugate_gradients(
+        linear(matrix), field(b), lambda r: cp.scale(-1.0, r), tolerance=1e-9, iterations=40
+    )
+    assert not found.solved
+
+
+def stored(a):
+    return newton.Blocks(
         cp.vector(lambda i: jnp.asarray(a[:, i, i])),
         cp.vector(lambda i: jnp.asarray(a[:, (i + 1) % 3, (i + 2) % 3])),
     )
+
+
+def test_factors_solve_the_blocks(x64):
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal((COUNT, 3, 3))
+    a = a @ a.swapaxes(1, 2) + np.eye(3)
     v = rng.standard_normal((COUNT, 3))
-    back = newton.apply_blocks(newton.inverse_blocks(blocks), newton.apply_blocks(blocks, field(v)))
-    np.testing.assert_allclose(flat(back).reshape(COUNT, 3), v, rtol=1e-3)  # but for the ridge
-    np.testing.assert_allclose(
-        flat(newton.apply_blocks(blocks, field(v))).reshape(COUNT, 3), np.einsum("nij,nj->ni", a, v), rtol=1e-12
-    )
+    found = newton.solve_blocks(newton.factor_blocks(stored(a)), field(np.einsum("nij,nj->ni", a, v)))
+    np.testing.assert_allclose(flat(found).reshape(COUNT, 3), v, rtol=1e-3)  # but for the ridge
+
+
+def test_factors_of_one_stiff_direction_stay_positive_in_float32():
+    """As along a straight rope: one direction is up to a hundred million times as stiff as the others."""
+    rng = np.random.default_rng(3)
+    n = rng.standard_normal((COUNT, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    for ratio in (1e3, 1e5, 1e6, 1e8):
+        a = (np.eye(3) + ratio * np.einsum("ni,nj->nij", n, n)).astype(np.float32)
+        factors = newton.factor_blocks(stored(a))
+        columns = [
+            newton.solve_blocks(factors, field(np.tile(np.eye(3, dtype=np.float32)[i], COUNT))) for i in range(3)
+        ]
+        inverse = np.stack([flat(column).reshape(COUNT, 3) for column in columns], axis=-1).astype(np.float64)
+        lowest = np.linalg.eigvalsh(0.5 * (inverse + inverse.swapaxes(1, 2)))
+        assert lowest.min() > 0.0 and 0.2 < lowest.max() * (1.0 + newton.RIDGE * ratio) < 1.2, ratio
+        along = newton.solve_blocks(factors, field(n.astype(np.float32)))
+        assert float(jnp.min(cp.dot(along, field(n.astype(np.float32))))) > 0.0
 
 
 def minimum(start, iterations=60):
