@@ -90,7 +90,7 @@ class GymnasiumEnv(gymnasium.Env):
             return None
         if self._state is None:
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset before render")
-        return self._pictures.draw(self._record([self._state.physics]))
+        return self._pictures.draw(self._record([self._state]))
 
 
 class GymnasiumVectorEnv(VectorEnv):

@@ -116,7 +116,7 @@ def first_state(*, physics: PyTree, obs: Observation, metrics: dict[str, Array],
     """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``.
 
     The status is ``Status.NAN`` if physics or observation hold a non-finite number. Such a state has not terminated:
-    the first step ends the episode, unless all numbers are finite again.
+    its first step fails, unless only physics was not finite and is finite again.
     """
     kinds = (leaf.dtype for leaf in jax.tree.leaves(obs) if jnp.issubdtype(leaf.dtype, jnp.floating))
     reward = jnp.zeros((), next(kinds, jnp.result_type(float)))
@@ -149,9 +149,10 @@ def next_state(
 ) -> State:
     """The ``State`` after a control step. Truncates at the time limit and ends episodes that fail numerically.
 
-    A step fails if physics, observation or reward hold a non-finite number, which sets ``Status.NAN``, or if ``status``
-    has a fatal bit. Then the episode terminates with reward 0, and physics, observation and metrics keep their
-    previous values, which are finite unless those of the reset were not; no gradient flows.
+    A step fails if physics, observation, reward or the observation before it hold a non-finite number, which sets
+    ``Status.NAN``, or if ``status`` has a fatal bit. Then the episode terminates with reward 0, and physics,
+    observation and metrics keep their previous values, which are finite unless those of the reset were not; no gradient
+    flows.
 
     Args:
       state: the state before the step.
@@ -163,7 +164,11 @@ def next_state(
     Gradient: passes through unchanged; cut in a failed step. The derivative of a failed step may itself hold a NaN,
       which cannot be removed here: agents drop the gradient of such an environment and count it.
     """
-    not_finite = jnp.stack([~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)])
+    # An observation that is not finite is that of a reset. What a policy did with it is no data.
+    before = [~all_finite(leaf) for leaf in _checked_leaves((), state.obs, state.reward)]
+    after = [~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)]
+    num = len(after) - len(before)
+    not_finite = jnp.stack([*after[:num], *(a | b for a, b in zip(after[num:], before, strict=True))])
     # A fatal status without a non-finite number has the index after the last array's.
     broken = jnp.append(not_finite, (jnp.asarray(status) & FATAL) != 0)
     first = jnp.min(jnp.where(broken, jnp.arange(len(broken), dtype=jnp.int32), len(broken)))
@@ -188,7 +193,7 @@ def next_state(
 
 
 def with_observations(state: State, added: Observation, before: Observation, *, leaf: int) -> State:
-    """The state after a step, with observations that a wrapper adds. One that is not finite fails the step.
+    """The state after a step, with observations that a wrapper adds. One that is or was not finite fails the step.
 
     Args:
       state: the state of the wrapped environment after the step.
@@ -198,13 +203,29 @@ def with_observations(state: State, added: Observation, before: Observation, *, 
 
     Gradient: passes through; cut where the added observations fail.
     """
-    failed = ~all_finite(added)
+    failed = ~all_finite((added, {name: before[name] for name in added}))
     added = {name: jnp.where(failed, jax.lax.stop_gradient(before[name]), value) for name, value in added.items()}
     return state.replace(
         obs={**state.obs, **added},
         reward=jnp.where(failed, 0.0, state.reward),
         terminated=state.terminated | failed,
         truncated=state.truncated & ~failed,
+        status=state.status | flag(failed, Status.NAN),
+        failed_leaf=jnp.where(failed & (state.failed_leaf == NO_LEAF), leaf, state.failed_leaf),
+    )
+
+
+def with_first_observations(state: State, added: Observation, *, leaf: int) -> State:
+    """The first state of an episode, with observations that a wrapper adds; its status as of ``first_state``.
+
+    Args:
+      state: the first state of the wrapped environment.
+      added: the further observations.
+      leaf: the value of ``State.failed_leaf`` if one of these is not finite, and nothing else.
+    """
+    failed = ~all_finite(added)
+    return state.replace(
+        obs={**state.obs, **added},
         status=state.status | flag(failed, Status.NAN),
         failed_leaf=jnp.where(failed & (state.failed_leaf == NO_LEAF), leaf, state.failed_leaf),
     )

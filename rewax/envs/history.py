@@ -7,7 +7,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, check_observed
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, observed_names
 from rewax.types import Array, Key, Observation
 
 
@@ -39,7 +39,7 @@ class History(struct.Replaceable, _Wrapper):
         if not whole or self.steps < 1:
             raise ValueError(f"steps of the history is {self.steps!r}: give a number of observations, at least 1")
         object.__setattr__(self, "steps", int(self.steps))
-        check_observed(self.env, self.of)
+        object.__setattr__(self, "of", observed_names(self.env, self.of))
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:

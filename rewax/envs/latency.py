@@ -8,7 +8,8 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, check_observed, count_inside
+from rewax.envs.kit.checks import check_action
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside, observed_names
 from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -67,7 +68,7 @@ class Latency(struct.Replaceable, _Wrapper):
         check_inside(self)
         for name in ("observation", "action"):
             object.__setattr__(self, name, _checked(name, getattr(self, name)))
-        check_observed(self.env, self.of)
+        object.__setattr__(self, "of", observed_names(self.env, self.of))
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)
@@ -86,6 +87,7 @@ class Latency(struct.Replaceable, _Wrapper):
         return state.replace(delayed=flight)
 
     def step(self, state: State, action: Array) -> State:
+        check_action(action, self.action_spec)
         flight: InFlight = state.delayed  # type: ignore[assignment]
         given = jnp.concatenate([_clipped(action, self.action_spec, flight.actions.dtype)[None], flight.actions])
         present = {name: history[0] for name, history in flight.observations.items()}

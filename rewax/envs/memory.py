@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.envs.base import MEMORY_LEAF, ArraySpec, Env, State, with_observations
+from rewax.envs.base import MEMORY_LEAF, ArraySpec, Env, State, with_first_observations, with_observations
 from rewax.envs.wrappers import _Wrapper, check_inside
 from rewax.status import FATAL
 from rewax.types import Array, Key
@@ -52,7 +52,7 @@ class Remembering(struct.Replaceable, _Wrapper):
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)
         start = jnp.zeros(self.size) if self.start is None else self.start
-        return state.replace(obs={**state.obs, MEMORY: start.astype(state.reward.dtype)})
+        return with_first_observations(state, {MEMORY: start.astype(state.reward.dtype)}, leaf=MEMORY_LEAF)
 
     def step(self, state: State, action: Remembered) -> State:  # type: ignore[override]
         if not isinstance(action, Remembered):

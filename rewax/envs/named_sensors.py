@@ -1,7 +1,7 @@
 """Sensors by name: what ``rewax.make(..., sensors=("camera",))`` adds to a task."""
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
 import jax
@@ -76,6 +76,8 @@ def check_names(names: Any) -> tuple[str, ...]:
     """
     from rewax.envs.registry import did_you_mean
 
+    if not isinstance(names, Iterable):
+        raise ValueError(f"sensors is {names!r}: give names, ('camera',) for example")
     listed = (names,) if isinstance(names, str) else tuple(names)
     for name in listed:
         if not isinstance(name, str) or name not in _FACTORIES:

@@ -8,7 +8,7 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.envs.base import SENSOR_LEAF, ArraySpec, State, with_observations
+from rewax.envs.base import SENSOR_LEAF, ArraySpec, State, with_first_observations, with_observations
 from rewax.envs.randomized import innermost
 from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside
 from rewax.physics.contact import Patches
@@ -89,7 +89,7 @@ class Sensing(struct.Replaceable, _Wrapper):
 
     def reset(self, key: Key) -> State:
         state = self._feeling.reset(key)
-        return state.replace(obs={**state.obs, **self._see(state)})
+        return with_first_observations(state, self._see(state), leaf=SENSOR_LEAF)
 
     def step(self, state: State, action: Array) -> State:
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}

@@ -53,14 +53,19 @@ def _any_in_batch(axis_size: int, in_batched: list[bool], condition: Array) -> t
     return any_in_batch(jnp.any(condition)), False
 
 
-def check_observed(env: Any, of: Iterable[str] | None) -> None:
-    """Raises ValueError if ``of``, the names that a wrapper is given, has one that is not observed; None: all are."""
+def observed_names(env: Any, of: Iterable[str] | str | None) -> tuple[str, ...] | None:
+    """``of``, the observations that a wrapper is given, as a tuple of names; None stands for all.
+
+    Raises:
+      ValueError: one of them is not observed.
+    """
     if of is None:
-        return
-    known = env.observation_spec
-    for name in of:
+        return None
+    names, known = (of,) if isinstance(of, str) else tuple(of), env.observation_spec
+    for name in names:
         if name not in known:
             raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
+    return names
 
 
 def count_inside(env: Any, kind: type) -> int:
@@ -152,12 +157,14 @@ class AutoReset(_Wrapper):
       other environments of a batch are not affected.
 
     Raises:
-      ValueError: the environment has an ``AutoReset`` already.
+      ValueError: the environment has an ``AutoReset`` already, or is a batch.
     """
 
     def __post_init__(self) -> None:
         if count_inside(self, AutoReset):
             raise ValueError("the environment has an AutoReset already: give it without, one resets all")
+        if count_inside(self, Vmap):
+            raise ValueError("AutoReset is around a batch: put Vmap outside, Vmap(env=AutoReset(env=...))")
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)

@@ -29,6 +29,8 @@ class DepthCloud(struct.Replaceable):
     def __post_init__(self) -> None:
         if isinstance(self.num_points, bool) or not isinstance(self.num_points, int) or self.num_points < 1:
             raise ValueError(f"num_points of the cloud is {self.num_points!r}: give an integer, at least 1")
+        if isinstance(self.of, str):
+            object.__setattr__(self, "of", (self.of,))
 
     def see(self, world: World, key: Key) -> Array:
         """Points [m], shape (num_points, 3).

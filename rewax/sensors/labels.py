@@ -22,6 +22,10 @@ class Labels(struct.Replaceable):
     camera: Camera
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
+    def __post_init__(self) -> None:
+        if isinstance(self.of, str):
+            object.__setattr__(self, "of", (self.of,))
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Bounds of the labels that ``see`` returns."""

@@ -75,6 +75,19 @@ def test_a_reset_that_is_not_finite_says_so_and_its_first_step_ends_the_episode(
     assert after.status == status and bool(after.terminated) == (status != Status.OK) and after.reward == 0.0
 
 
+def test_what_follows_an_observation_that_is_not_finite_is_no_data():
+    """A policy chose its action from such numbers. Physics alone may be finite again."""
+    unseen = {**OBS, "b": jnp.asarray(jnp.inf)}
+    first = first_state(physics=PHYSICS, obs=unseen, metrics={"m": jnp.ones(())}, key=jax.random.key(0))
+    good = {"physics": PHYSICS, "obs": OBS, "reward": jnp.asarray(2.0), "metrics": first.metrics}
+    after = next_state(first, **good, episode_length=5)
+    assert after.status == Status.NAN and bool(after.terminated) and after.reward == 0.0
+    assert failed_leaf_name(Known(), int(after.failed_leaf)) == "obs['b']"
+    odd = {**PHYSICS, "x": jnp.array([1.0, jnp.nan, 1.0])}
+    first = first_state(physics=odd, obs=OBS, metrics={"m": jnp.ones(())}, key=jax.random.key(0))
+    assert first.status == Status.NAN and next_state(first, **good, episode_length=5).status == Status.OK
+
+
 def test_names_are_those_of_a_task():
     env = rewax.make("CartpoleSwingUp", scale="small")
     assert failed_leaf_name(env, 0) == "physics.rigid.qpos"

@@ -74,6 +74,7 @@ def test_it_is_an_environment():
     [
         ({"steps": 0}, "steps of the history is 0: give a number of observations, at least 1"),
         ({"steps": 2.0}, "steps of the history is 2.0: give"),
+        ({"of": "y"}, "of has 'y', which is not observed: use some of x"),
         ({"of": ("y",)}, "of has 'y', which is not observed: use some of x"),
     ],
 )

@@ -112,8 +112,15 @@ def test_delays_that_cannot_be_are_refused(steps):
 
 
 def test_an_unknown_observation_is_refused():
-    with pytest.raises(ValueError, match="of has 'y', which is not observed: use some of x"):
-        Latency(env=toys.point_mass(), of=("y",))
+    for of in (("y",), "y"):
+        with pytest.raises(ValueError, match="of has 'y', which is not observed: use some of x"):
+            Latency(env=toys.point_mass(), of=of)
+
+
+def test_an_action_of_another_shape_is_refused():
+    env = Latency(env=toys.point_mass(), action=1)
+    with pytest.raises(ValueError, match=r"the action has shape \(2,\): give shape \(1,\), and jax.vmap over step"):
+        env.step(env.reset(jax.random.key(0)), jnp.zeros(2))
 
 
 def test_a_seeing_environment_that_is_late_passes_the_check():

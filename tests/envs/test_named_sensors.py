@@ -49,6 +49,7 @@ def test_no_sensors_are_the_environment_alone(sensors):
             {"sensors": ["camra"]},
             r"there is no sensor named 'camra': did you mean 'camera'\? known are camera, cloud, ",
         ),
+        ({"sensors": 3}, r"sensors is 3: give names, \('camera',\) for example"),
         ({"sensors": ["camera", "camera"]}, "sensors is .*, with a name twice: give each once"),
         ({"sensors": ["camera"], "resolution": 0}, "resolution is 0: give an integer of pixels, at least 1"),
         ({"sensors": ["camera"], "resolution": True}, "resolution is True: give an integer"),

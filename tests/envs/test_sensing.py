@@ -172,6 +172,17 @@ def test_a_step_in_which_a_sensor_sees_no_number_fails():
     assert failed_leaf_name(env, int(good.failed_leaf)) == "nothing"
 
 
+def test_a_reset_in_which_a_sensor_sees_no_number_says_so_and_its_first_step_fails():
+    env = Sensing(env=seeing_toys.visible(), sensors={"slope": Slope(edge=100.0)})
+    first = env.reset(jax.random.key(0))
+    assert first.status == Status.NAN and not first.done
+    assert failed_leaf_name(env, int(first.failed_leaf)) == "the observation of a sensor"
+    near = first.replace(physics=jnp.full_like(first.physics, 0.1))
+    sees = Sensing(env=seeing_toys.visible(), sensors={"slope": Slope(edge=-9.0)})
+    after = sees.step(near, jnp.zeros(1))  # a number now, but the action came from none
+    assert after.status == Status.NAN and after.terminated and after.reward == 0.0
+
+
 def test_sensors_around_sensors_draw_their_own_noise():
     camera = seeing_toys.front_camera(noise=DepthNoise(constant=0.1))
     inner = Sensing(env=seeing_toys.visible(), sensors={"a": camera})

@@ -280,6 +280,8 @@ def test_auto_reset_goes_outside(kind):
             OF_ONE_EPISODE[kind](AutoReset(env=inside))
     with pytest.raises(ValueError, match=r"^the environment has an AutoReset already: give it without"):
         AutoReset(env=AutoReset(env=toys.point_mass()))
+    with pytest.raises(ValueError, match=r"^AutoReset is around a batch: put Vmap outside, Vmap\(env=AutoReset\("):
+        AutoReset(env=Vmap(env=toys.point_mass()))
 
 
 @pytest.mark.parametrize("kind", OF_ONE_EPISODE)
@@ -288,6 +290,13 @@ def test_a_batch_is_made_of_wrapped_environments(kind):
         OF_ONE_EPISODE[kind](stack([toys.point_mass(), toys.point_mass()]))
 
 
+@struct.dataclass
+class Around(struct.Replaceable):
+    """A wrapper of a user's own."""
+
+    env: Any
+
+
 def test_a_batch_inside_other_wrappers_is_no_batch():
-    env = AutoReset(env=stack([toys.point_mass(), toys.point_mass()]))
+    env = Around(env=stack([toys.point_mass(), toys.point_mass()]))
     assert EnvLeaves.of(env).axis is None and EnvLeaves.of(env.env).axis == 0

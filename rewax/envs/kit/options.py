@@ -9,7 +9,7 @@ from rewax.envs.kit.checks import described
 from rewax.physics.numerics.checks import POSITIVE, Legal, check_number, static_number
 
 _OTHER_VALUES = "rewax.replace_leaf(env, name, value) takes arrays"
-_TOLERANCE = 1e-6
+_TOLERANCE, _MOST_SUBSTEPS = 1e-6, 1_000_000
 """Relative error with which a substep may divide the control step: what rounding of seven digits leaves."""
 
 
@@ -54,6 +54,11 @@ def substeps(dt: float | None, num_substeps: int | None, default: Substeps) -> S
     else:
         check_is_no_flag("dt", dt)
         dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+        if control_dt > _MOST_SUBSTEPS * dt:
+            raise ValueError(
+                f"dt is {dt:g} s, of which a control step of {control_dt:g} s has {control_dt / dt:.3g}: give at least "
+                f"{control_dt / _MOST_SUBSTEPS:.3g} s"
+            )
     if num_substeps is None:
         num = max(1, round(control_dt / dt))
         if abs(num * dt - control_dt) > _TOLERANCE * control_dt:

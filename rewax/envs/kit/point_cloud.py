@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.envs.kit.options import integer_option
+from rewax.envs.kit.options import flag_option, integer_option, number_option
+from rewax.physics.numerics.checks import NOT_NEGATIVE
 from rewax.types import Array, Key, Observation, Scalar
 
 
@@ -32,6 +33,10 @@ class PointCloud(struct.Replaceable):
     def __post_init__(self) -> None:
         integer_option("PointCloud.num_points", self.num_points, "give the largest number of observed points")
         integer_option("PointCloud.stride", self.stride, "give 1 for all points, n for every n-th one")
+        flag_option("PointCloud.random", self.random)
+        flag_option("PointCloud.velocities", self.velocities)
+        if self.noise is not None:
+            number_option("PointCloud.noise", self.noise, NOT_NEGATIVE, remedy="give a standard deviation, or None")
 
     @property
     def draws(self) -> bool:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,9 @@ def read_result(path: str | Path) -> dict[str, Any]:
     Raises:
       ValueError: in one sentence: there is no such file, or it is no result.
     """
-    path = Path(path)
-    if not path.is_file():
+    if not isinstance(path, (str, os.PathLike)) or not Path(path).is_file():
         raise ValueError(f"there is no result {str(path)!r}: {_REMEDY}")
+    path = Path(path)
     try:
         found = json.loads(path.read_text())
         if found["format"] != FORMAT:

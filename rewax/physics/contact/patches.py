@@ -41,6 +41,9 @@ class Patches(struct.Replaceable):
     center: Vector | None = struct.number(FINITE, "give points in metres", shape=("num_patches", 3), default=None)
 
     def __post_init__(self) -> None:
+        whole = all(isinstance(one, (int, np.integer)) and not isinstance(one, bool) for one in self.body)
+        if not self.body or not whole:
+            raise ValueError(f"body is {self.body}: give at least one index of a body, an integer, or WALLS")
         if self.center is None and len(set(self.body)) < len(self.body):
             raise ValueError(f"body is {self.body}, with several patches of one body: give center, a point for each")
         if self.center is not None:

@@ -143,8 +143,9 @@ class RigidModel(struct.Replaceable):
         """A copy with other parameters.
 
         Raises:
-          ValueError: there is no such parameter, its shape differs, a value is illegal (not finite, a mass, size or
-            friction below 0), or the model was loaded without the damping or dry friction to change.
+          ValueError: there is no such parameter, its shape differs, a value is illegal (not finite; a mass, size or
+            friction below 0; a range whose lower limit is the larger one), or the model was loaded without the damping
+            or dry friction to change.
         """
         for name, value in changes.items():
             if name not in self.parameters:

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, any_illegal, check_numbers
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Legal, Number, any_illegal, check_numbers
 from rewax.physics.rigid.mjcf import LIMITS, named, numeric
 from rewax.physics.rigid.spring_contacts import Penalty, penalty_numbers
 from rewax.types import Array
@@ -20,28 +21,45 @@ _NOT_NEGATIVE = {
 }  # fmt: skip
 
 
+_RANGES = ("jnt_range", "actuator_ctrlrange", "actuator_forcerange")
+_UNIT_VECTORS = ("body_quat", "body_iquat", "geom_quat", "jnt_axis")
+_LENGTH_TOLERANCE = 0.01
+
+
 def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
     """Parameters by the names of MuJoCo's fields, with their legal values."""
-    return [
+    numbers = [
         Number(name, value, NOT_NEGATIVE if name in _NOT_NEGATIVE else FINITE, "give it in MuJoCo's unit")
         for name, value in parameters.items()
     ]
+    for name in _RANGES:
+        if name in parameters:
+            given = parameters[name]
+            limits = given if isinstance(given, jax.Array) else np.asarray(given)
+            what, width = f"upper minus lower limit of {name}", limits[..., 1] - limits[..., 0]
+            numbers.append(Number(what, width, NOT_NEGATIVE, "give the lower limit first"))
+    return numbers
 
 
 def has_invalid_parameters(parameters: Mapping[str, Any], gravity: Array, penalty: Penalty | None) -> Array:
     """Whether a model holds an illegal value, shape (), bool; for traced or replaced values. Gradient: none."""
     numbers = [*parameter_numbers(parameters), Number("gravity", gravity, FINITE, "give an acceleration in m/s^2")]
+    legal = Legal((1.0 - _LENGTH_TOLERANCE) ** 2, (1.0 + _LENGTH_TOLERANCE) ** 2)
+    for name in _UNIT_VECTORS:
+        if name in parameters:
+            squares = jnp.sum(parameters[name] ** 2, axis=-1)
+            numbers.append(Number(f"the squared length of {name}", squares, legal, "divide by its length"))
     return any_illegal(numbers + ([] if penalty is None else penalty_numbers(penalty)))
 
 
 def check_unit_lengths(parameters: Mapping[str, Any]) -> None:
     """Raises ValueError for a quaternion or a joint axis whose length is not 1; traced ones are not checked."""
-    for name in ("body_quat", "body_iquat", "geom_quat", "jnt_axis"):
+    for name in _UNIT_VECTORS:
         value = parameters.get(name)
         if value is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
             continue
         length = np.linalg.norm(np.asarray(value, float), axis=-1)
-        wrong = ~(np.abs(length - 1.0) < 0.01)
+        wrong = ~(np.abs(length - 1.0) < _LENGTH_TOLERANCE)
         if np.any(wrong):
             row = int(np.flatnonzero(wrong)[0])
             raise ValueError(

@@ -147,8 +147,8 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     Args:
       state: the bodies. A value that is not finite, or a position or velocity of a million or more, sets ``NAN``. A
         substep of the last step whose constraint forces did not balance sets ``UNSOLVED``.
-      model: illegal parameters (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None: do not
-        check parameters.
+      model: illegal parameters (not finite; a mass, size or friction below 0; a range whose lower limit is the larger
+        one; axes and quaternions whose length is not 1) set ``INVALID_PARAMETERS``; None: do not check parameters.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.

@@ -173,7 +173,7 @@ def make_scene(
     held = held_indices(held, num_vertices)
     corners = np.asarray(mesh.vertices, np.float64)[mesh.tets]
     rest_edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    share = jnp.asarray(mesh.volumes / 4.0, float) * density
+    share = jnp.asarray(mesh.volumes / 4.0, float) * jnp.asarray(density, float)
     scene = TetScene(
         topology=TetTopology(mesh.tets, num_vertices),
         dt=dt,

@@ -9,6 +9,7 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.memory import action_of, stage
+from rewax.envs.randomized import innermost
 from rewax.envs.registry import did_you_mean
 from rewax.envs.wrappers import AutoReset, Vmap, select
 from rewax.training.evaluation.cameras import make_pixels, seen_by
@@ -105,18 +106,18 @@ def make_record(
     every = max(1, -(-env.episode_length // (max_frames - 1)))
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
     bare = _bare(env)
-    see, pixels = _make_see(bare, jax.eval_shape(env.reset, jax.random.key(0)).physics), make_pixels(env)
+    see, pixels = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0))), make_pixels(env)
 
     def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
         state = _beside(train_state, reset(reset_key))
-        seen, shown, steps, logged = [see(state.physics)], [jax.device_get(pixels(state))], [0], []
+        seen, shown, steps, logged = [see(state)], [jax.device_get(pixels(state))], [0], []
         while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
             logged.append(jax.tree.map(lambda values: values[:count], jax.device_get(of_steps)))  # noqa: B023
             steps.append(int(state.step_count))
-            seen.append(see(state.physics))
+            seen.append(see(state))
             shown.append(jax.device_get(pixels(state)))
         recording = _recording(bare, seen, steps, logged, name)
         return dataclasses.replace(recording, seen=seen_by(env, state.physics, shown))
@@ -124,8 +125,8 @@ def make_record(
     return made
 
 
-def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
-    """A function from a list of physics states to a recording with one frame for each, without rewards.
+def snapshots(env: Env) -> Callable[[list[State]], Recording]:
+    """A function from a list of states to a recording with one frame for each, without rewards.
 
     Raises:
       ValueError: the environment has nothing to draw.
@@ -133,10 +134,10 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
     if not can_record(env):
         raise ValueError(_NOTHING)
     bare = _bare(env)
-    see = _make_see(bare, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)))
 
-    def of(frames: list[PyTree]) -> Recording:
-        return _recording(bare, [see(physics) for physics in frames], list(range(len(frames))), [], "")
+    def of(frames: list[State]) -> Recording:
+        return _recording(bare, [see(state) for state in frames], list(range(len(frames))), [], "")
 
     return of
 
@@ -175,35 +176,38 @@ def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> 
     return advance
 
 
-def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
-    """A function from physics to what is drawn, as NumPy arrays; compiled if the environment can be traced."""
+def _make_see(env: Any, state: State) -> Callable[[State], dict[str, Any]]:
+    """A function from states to what is drawn, as NumPy arrays; compiled if the environment can be traced.
 
-    def see(physics: PyTree) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        if hasattr(env, "particles"):
-            found["particles"] = env.particles(physics)
-        if hasattr(env, "particle_values"):
-            found["values"] = dict(env.particle_values(physics))
-        if hasattr(env, "render_shapes"):
-            found["drawings"] = [dict(drawing) for drawing in env.render_shapes(physics)]
+    ``state`` has the shapes of these states. Drawn is the environment with the parameters of the episode.
+    """
+
+    def see(drawn: dict[str, Any], physics: PyTree) -> dict[str, Any]:
+        bare, found = innermost(env, drawn), {}
+        if hasattr(bare, "particles"):
+            found["particles"] = bare.particles(physics)
+        if hasattr(bare, "particle_values"):
+            found["values"] = dict(bare.particle_values(physics))
+        if hasattr(bare, "render_shapes"):
+            found["drawings"] = [dict(drawing) for drawing in bare.render_shapes(physics)]
         return found
 
     kept: dict[str, Any] = {}
 
-    def arrays(physics: PyTree) -> list[Any]:
+    def arrays(drawn: dict[str, Any], physics: PyTree) -> list[Any]:
         """Arrays that change; kinds of drawings and triangles of meshes are constant and kept when this is traced."""
-        leaves, kept["tree"] = jax.tree.flatten(see(physics))
+        leaves, kept["tree"] = jax.tree.flatten(see(drawn, physics))
         kept["rest"] = [leaf if isinstance(leaf, str | np.ndarray) else None for leaf in leaves]
         return [leaf for leaf in leaves if not isinstance(leaf, str | np.ndarray)]
 
     try:
-        jax.eval_shape(arrays, physics)
+        jax.eval_shape(arrays, state.drawn or {}, state.physics)
     except Exception:  # the environment's code may need concrete values
-        return lambda physics: jax.device_get(see(physics))
+        return lambda state: jax.device_get(see(state.drawn or {}, state.physics))
     compiled = jax.jit(arrays)
 
-    def call(physics: PyTree) -> dict[str, Any]:
-        values = iter(jax.device_get(compiled(physics)))
+    def call(state: State) -> dict[str, Any]:
+        values = iter(jax.device_get(compiled(state.drawn or {}, state.physics)))
         return jax.tree.unflatten(kept["tree"], [next(values) if a is None else a for a in kept["rest"]])
 
     return call

@@ -39,6 +39,10 @@ def test_a_substep_that_does_not_divide_the_control_step_is_refused():
         substeps(3e-3, None, DEFAULT)
     with pytest.raises(ValueError, match="give num_substeps=1, for example"):
         substeps(0.03, None, DEFAULT)
+    with pytest.raises(
+        ValueError, match=r"dt is 1e-30 s, of which a control step of 0\.02 s has 2e\+28: give at least 2e-"
+    ):
+        substeps(1e-30, None, DEFAULT)
 
 
 @pytest.mark.parametrize("name", rewax.list_envs())

@@ -77,6 +77,8 @@ def test_trees_of_patches_start_at_zero_and_accumulate():
     [
         (lambda: Patches(body=(0, 0)), r"body is \(0, 0\), with several patches of one body"),
         (lambda: Patches(body=(0, 0), center=np.zeros((1, 3))), r"center has shape \(1, 3\)"),
+        (lambda: Patches(body=(0.5,)), r"body is \(0.5,\): give at least one index of a body, an integer, or WALLS"),
+        (lambda: Patches(body=()), r"body is \(\): give at least one index"),
         (lambda: check_patches(Patches(body=(3,)), 3), "a patch belongs to body 3, but there are 3 bodies"),
         (lambda: check_patches({"a": 1.0}, 3), r"patches holds 1.0: give Patches"),
     ],

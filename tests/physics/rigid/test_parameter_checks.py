@@ -10,6 +10,7 @@ import pytest
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
 from rewax.physics.rigid.parameter_checks import has_invalid_parameters
+from rewax.status import Status
 
 nan, inf = float("nan"), float("inf")
 BALL = '<mujoco><worldbody><body><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
@@ -45,6 +46,33 @@ def test_traced_parameters_are_flagged():
     assert not invalid(model.parameters, 0.0)
     assert invalid(model.parameters, -1.0)
     assert invalid({**model.parameters, "body_mass": mass}, 0.0)
+
+
+RAIL = """<mujoco><worldbody><body><joint name="j" type="slide" range="-1 1" limited="true"/><geom size="0.1"/></body>
+</worldbody><actuator><motor joint="j" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("name", ["jnt_range", "actuator_ctrlrange"])
+def test_reversed_limits_are_refused_and_flagged(name):
+    """With them a control would have no gradient, and a joint would be thrown from limit to limit."""
+    model = rigid.load(RAIL)
+    reversed_limits = model.parameters[name][:, ::-1]
+    with pytest.raises(
+        ValueError, match=rf"^upper minus lower limit of {name}\[0\] is -2.0, .*: give the lower limit first"
+    ):
+        model.with_parameters(**{name: reversed_limits})
+    flagged = jax.jit(
+        lambda limits: rigid.check_status(rigid.initial_state(model), model.with_parameters(**{name: limits}))
+    )
+    assert flagged(model.parameters[name]) == Status.OK
+    assert flagged(reversed_limits) == Status.INVALID_PARAMETERS
+
+
+@pytest.mark.parametrize("name", ["jnt_axis", "body_quat", "geom_quat", "body_iquat"])
+def test_replaced_axes_and_quaternions_of_another_length_are_flagged(name):
+    model = rigid.load(RAIL)
+    twice = model.replace(parameters={**model.parameters, name: 2.0 * model.parameters[name]})
+    assert rigid.check_status(rigid.initial_state(model), twice) == Status.INVALID_PARAMETERS
 
 
 def test_dry_friction_is_that_of_the_joints_that_were_loaded_with_it():

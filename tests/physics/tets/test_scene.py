@@ -77,7 +77,7 @@ def test_masses_volumes_and_edges_of_a_corner():
 def test_density_per_tet_goes_to_its_own_vertices():
     """Vertices that two tetrahedra share get a quarter of each."""
     pair = tetmesh.TetMesh(np.concatenate([UNIT.vertices, [[2.0, 3, 4]]]), np.array([[0, 1, 2, 3], [4, 2, 1, 3]]))
-    scene = tets.make_scene(mesh=pair, density=np.array([100.0, 300.0]), mu=MU, lam=LAM, dt=1e-4)
+    scene = tets.make_scene(mesh=pair, density=[100.0, 300.0], mu=MU, lam=LAM, dt=1e-4)
     first, second = (100.0, 300.0) * pair.volumes / 4.0
     np.testing.assert_allclose(scene.mass, [first, *[first + second] * 3, second], rtol=1e-6)
 

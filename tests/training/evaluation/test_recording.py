@@ -9,9 +9,10 @@ import pytest
 import toys
 
 from rewax import struct
-from rewax.envs import AutoReset, stack
+from rewax.envs import AutoReset, Randomized, stack
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask
 from rewax.envs.memory import MEMORY, Remembered
+from rewax.envs.randomize import Constant, Scale, hook
 from rewax.physics import rigid
 from rewax.training.evaluation.episodes import constant_policy
 from rewax.training.evaluation.recording import can_record, check_color_by, record, snapshots
@@ -167,8 +168,9 @@ class Gem(RigidTask):
 
 def test_meshes_and_ellipsoids_of_a_model_are_in_its_pictures():
     env = Gem(model=rigid.load(GEM), num_substeps=1, max_steps=1)
+    first = env.reset(jax.random.key(0))
     states = [rigid.initial_state(env.model, qpos=jnp.array([0.0, x])) for x in (0.0, 0.2)]
-    found = snapshots(env)([RigidPhysics(rigid=state, action=jnp.zeros(0)) for state in states])
+    found = snapshots(env)([first.replace(physics=RigidPhysics(rigid=s, action=jnp.zeros(0))) for s in states])
     assert [shape["kind"] for shape in found.drawings[0]] == ["mesh", "ellipsoid"]
     first, second = found.drawings
     assert first[0]["vertices"] is second[0]["vertices"] and len(first[0]["vertices"]) == 6
@@ -180,6 +182,16 @@ def test_meshes_and_ellipsoids_of_a_model_are_in_its_pictures():
     seen = picture[rows.astype(int), columns.astype(int)]
     shown = seen[:, 0] > 2 * seen[:, 2]
     assert shown.tolist() == [True, True, False]
+
+
+def test_pictures_show_the_parameters_that_the_episode_drew():
+    env = Gem(model=rigid.load(GEM), num_substeps=1, max_steps=1)
+    twice = hook({"model.parameters[geom_size]": Scale(Constant(2.0))})
+    radii = []
+    for one in (env, AutoReset(env=Randomized(env=env, randomize=twice))):
+        state = one.reset(jax.random.key(0))
+        radii.append(snapshots(one)([state]).drawings[0][1]["semi_axes"])
+    np.testing.assert_allclose(radii[1], 2.0 * np.asarray(radii[0]), rtol=1e-6)
 
 
 def test_code_that_cannot_be_traced_is_called_as_it_is():

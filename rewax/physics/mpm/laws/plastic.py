@@ -20,7 +20,8 @@ _FRESH_SNOW = "for fresh snow give critical_compression 0.025, critical_stretch 
 
 @struct.dataclass
 class VonMises(LogarithmicPlasticity):
-    """Dough: the deviator of logarithmic strain is limited to yield_stress / (2 mu); volume is conserved.
+    """Dough: the deviator of logarithmic strain is limited to yield_stress / (2 mu); volume is conserved
+    while no principal stretch is below ``least_stretch``.
 
     Attributes:
       yield_stress: Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
