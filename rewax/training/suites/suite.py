@@ -124,16 +124,16 @@ def read_suite(source: str | Path) -> Suite:
       ValueError: there is none, or it has a wrong entry; one sentence.
     """
     if str(source) in BUILT_IN:
-        text, name = resources.files("rewax.suites").joinpath(f"{source}.toml").read_text(), str(source)
+        path, name = resources.files("rewax.suites").joinpath(f"{source}.toml"), str(source)
     else:
         path = Path(source)
         if not path.is_file():
             raise ValueError(
                 f"there is no suite {str(source)!r}: use {', '.join(BUILT_IN)}, or the path of a TOML file"
             )
-        text, name = None, path.stem
+        name = path.stem
     try:
-        content = tomllib.loads(path.read_text() if text is None else text)
+        content = tomllib.loads(path.read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{source} is not TOML ({error}): correct it") from None
     fields = {field.name for field in dataclasses.fields(Suite)} - {"name"}
