@@ -121,7 +121,7 @@ def page(name: str, rows: list[dict[str, str]], out: Path) -> None:
     lines += [*specification(name), "", f"Source: `{source}`", "", "## Returns of SAPO", ""]
     steps = int(rows[0]["env_steps"])
     lines += [
-        f"    rewax train --env={name} --scale small --seed 0     # {steps:,} environment steps",
+        f"    rewax train --env={name} --scale small --seed {rows[0]['seed']}     # {steps:,} environment steps",
         f"    python benchmarks/learning.py runs/{name}-small-* --out docs/tasks/results.csv",
         "",
         *earned(rows),
