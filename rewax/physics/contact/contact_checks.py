@@ -38,6 +38,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
         numbers += [
             Number("poses.position", poses.position, FINITE, "give positions in metres"),
             Number("poses.rotation", poses.rotation, FINITE, "give rotation matrices"),
+            *_rotation_numbers("poses.rotation", poses.rotation),
         ]
     return numbers
 

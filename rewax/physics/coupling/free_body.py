@@ -51,6 +51,7 @@ class FreeBodies(struct.Replaceable):
 
 
 INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")
+_QUATERNIONS = "give unit quaternions (w, x, y, z)"
 BODIES = instance(FreeBodies, "give FreeBodies, of bodies_at_rest for example")
 
 
@@ -71,13 +72,9 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
     zeros = jnp.zeros_like(position)
     if orientation is None:
         orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
-    check_numbers(
-        [Number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)", (len(position), 4))]
-    )
+    check_numbers([Number("orientation", orientation, FINITE, _QUATERNIONS, (len(position), 4))])
     orientation = jnp.asarray(orientation, position.dtype)
-    lengths = jnp.linalg.norm(orientation, axis=-1)
-    remedy = "give unit quaternions (w, x, y, z)"
-    check_numbers([Number("the length of orientation", lengths, Legal(1.0 - 1e-3, 1.0 + 1e-3), remedy)])
+    check_numbers([_lengths(orientation)])
     return FreeBodies(
         position=position, orientation=normalized(orientation), velocity=zeros, angular_velocity=jnp.zeros_like(zeros)
     )
@@ -114,7 +111,8 @@ def inertia_numbers(inertia: Inertia) -> list[Number]:
 
 @checked(inertia=INERTIA, bodies=BODIES)
 def check_status(inertia: Inertia, bodies: FreeBodies) -> Array:
-    """Status bits of free bodies (non-finite numbers) and of their mass properties (illegal numbers).
+    """Status bits of free bodies (non-finite numbers, orientations that are no unit quaternions) and of their mass
+    properties (illegal numbers).
 
     Steps refuse illegal mass properties that are known; this function reports traced ones, too.
 
@@ -126,8 +124,15 @@ def check_status(inertia: Inertia, bodies: FreeBodies) -> Array:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
     inertia, bodies = jax.lax.stop_gradient((inertia, bodies))
-    illegal = any_illegal([*_given_numbers(inertia), *_definite_numbers(inertia)])
+    lengths = _lengths(bodies.orientation)
+    lengths = lengths._replace(value=jnp.where(jnp.isfinite(lengths.value), lengths.value, 1.0))  # those set NAN
+    illegal = any_illegal([*_given_numbers(inertia), *_definite_numbers(inertia), lengths])
     return flag(~all_finite(bodies), Status.NAN) | flag(illegal, Status.INVALID_PARAMETERS)
+
+
+def _lengths(orientation: Array) -> Number:
+    lengths = jnp.linalg.norm(orientation, axis=-1)
+    return Number("the length of orientation", lengths, Legal(1.0 - 1e-3, 1.0 + 1e-3), _QUATERNIONS)
 
 
 def _given_numbers(inertia: Inertia) -> list[Number]:

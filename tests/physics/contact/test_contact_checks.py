@@ -38,6 +38,10 @@ def test_poses_count_where_there_are_colliders():
     assert any_illegal(collider_numbers((BALL,), broken))
     assert not any_illegal(collider_numbers((BALL,), poses))
     assert not any_illegal(collider_numbers((), broken))
+    check = jax.jit(lambda last: any_illegal(collider_numbers((BALL,), poses._replace(rotation=last))))
+    mirror = np.diag([1.0, 1.0, -1.0])
+    for matrix, bad in ((np.eye(3)[[1, 2, 0]], False), (1.01 * np.eye(3), True), (mirror, True)):
+        assert bool(check(poses.rotation.at[-1, 0].set(matrix))) == bad  # one boundary of a substep
 
 
 def test_the_ground_has_a_unit_normal():

@@ -146,3 +146,20 @@ def test_the_status_reports_what_steps_refuse_when_it_is_known(mass, moment, pos
     bodies = bodies.replace(position=bodies.position.at[0, 1].set(position))
     for check in (free_body.check_status, jax.jit(free_body.check_status)):
         assert int(check(inertia, bodies)) == status
+
+
+@pytest.mark.parametrize(
+    ("orientation", "status"),
+    [
+        ([0.6, 0.0, 0.8, 0.0], Status.OK),
+        ([1.0, 0.0, 0.1, 0.0], Status.INVALID_PARAMETERS),
+        ([0.0, 0.0, 0.0, 0.0], Status.INVALID_PARAMETERS),
+        ([np.nan, 0.0, 0.0, 0.0], Status.NAN),
+    ],
+)
+def test_the_status_reports_an_orientation_that_is_no_unit_quaternion(orientation, status):
+    inertia = free_body.Inertia(mass=jnp.ones(2), moment=jnp.stack([jnp.eye(3)] * 2))
+    bodies = free_body.bodies_at_rest(jnp.zeros((2, 3)))
+    bodies = bodies.replace(orientation=bodies.orientation.at[1].set(jnp.asarray(orientation)))
+    for check in (free_body.check_status, jax.jit(free_body.check_status)):
+        assert int(check(inertia, bodies)) == status
