@@ -32,7 +32,7 @@ from rewax.training.storage.description import plain, provenance
 from rewax.training.storage.metrics import read_csv
 from rewax.training.storage.run_directory import CannotWrite, InUse, hold
 from rewax.training.suites.suite import Suite
-from rewax.training.suites.tables import COLUMNS, LATER, read_results, write_results
+from rewax.training.suites.tables import COLUMNS, LATER, check_readable, read_results, write_results
 from rewax.whole_files import replacing
 
 _EVALUATION_KEY = 1234
@@ -87,12 +87,14 @@ def run_suite(
       The signal that stopped it, 0 if all runs are done.
 
     Raises:
-      ValueError: the suite has a wrong entry, or ``out_dir`` cannot be used or holds results of other options.
+      ValueError: the suite has a wrong entry, or ``out_dir`` cannot be used, or holds results of other options or
+        that cannot be read.
     """
     out_dir, part = Path(out_dir), suite if part is None else part
     for task, algorithm in itertools.product(suite.tasks, suite.algorithms):
         suite.config(task, algorithm)  # a wrong entry is refused before the first run
     _claim(suite, out_dir)
+    check_readable(out_dir)
     for task in part.tasks:
         _baselines(suite, task, out_dir)
     everything, known = in_turn(part), read_results(out_dir)

@@ -1,6 +1,7 @@
 """Results of a suite: a CSV, a Markdown table beside the paper's numbers, learning curves."""
 
 import csv
+import functools
 import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -113,6 +114,9 @@ def write_results(
 
     Returns:
       A sentence about each file.
+
+    Raises:
+      ValueError: one of the CSV files exists and cannot be read; both stay as they are.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     pictures = suite.tasks if pictures is None else pictures
@@ -123,34 +127,66 @@ def write_results(
     texts["table.md"] = markdown(suite, rows)
     for name, text in texts.items():
         with replacing(out_dir / name) as unfinished:
-            unfinished.write_text(text)
+            unfinished.write_text(text, encoding="utf-8")
     drawn = {run: curve for run, curve in curves.items() if run in ours}
     return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, pictures, rows, drawn, out_dir)
 
 
+def check_readable(out_dir: Path) -> None:
+    """Raises ValueError if ``results.csv`` or ``curves.csv`` exists and cannot be read: ``write_results`` would lose
+    what it holds."""
+    read_results(out_dir)
+    _read_curves(out_dir / "curves.csv")
+
+
 def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
-    """Rows of ``results.csv``; none if it is missing. Rows that cannot be read are left out."""
-    try:
-        lines = (out_dir / "results.csv").read_text().splitlines()
-        read = [_typed(row) for row in csv.DictReader(lines)]
-    except (OSError, UnicodeDecodeError, csv.Error):
-        return {}
-    return {_run(row): row for row in read if row}
+    """Rows of ``results.csv``; none if it is missing.
+
+    Raises:
+      ValueError: it cannot be read, with the number of the first line that is damaged.
+    """
+    kinds = {"seed": int, "env_steps": int, "failed": int} | dict.fromkeys(_MEASURED, float)
+    needed, columns = ("task", "algorithm", "seed", "sampled"), dict.fromkeys(COLUMNS, str) | kinds
+    rows = _read_table(out_dir / "results.csv", columns, needed)
+    return {_run(row): {"failure": ""} | row for row in rows}
 
 
 def _run(row: dict[str, Any]) -> Run:
     return row["task"], row["algorithm"], row["seed"]
 
 
-def _typed(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of text as numbers, without what is empty; empty if it is damaged."""
-    kinds = {"seed": int, "env_steps": int, "failed": int} | dict.fromkeys(_MEASURED, float)
+def _read_table(path: Path, kinds: Mapping[str, type], needed: Sequence[str]) -> list[dict[str, Any]]:
+    """Rows of a CSV file, without what is empty; none if the file is missing.
+
+    Args:
+      path: the file.
+      kinds: type of each column. Files of earlier versions lack the columns ``LATER``.
+      needed: columns that are not empty in any row.
+
+    Raises:
+      ValueError: another column, or a row that cannot be read.
+    """
+    remedy = "restore it, or move it away"
     try:
-        text = dict.fromkeys(LATER, "") | row
-        typed = {name: kinds.get(name, str)(text[name]) for name in COLUMNS if text[name] != "" or name == "failure"}
-    except (KeyError, TypeError, ValueError):
-        return {}
-    return typed if {"task", "algorithm", "seed", "sampled"} <= set(typed) else {}
+        text = path.read_text(encoding="utf-8-sig")  # spreadsheets begin a file with a mark
+    except FileNotFoundError:
+        return []
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read ({error}): {remedy}") from None
+    reader, rows = csv.DictReader(io.StringIO(text, newline="")), []
+    header = reader.fieldnames or []
+    if odd := [name for name in [*kinds, *header] if name not in header and name not in LATER or name not in kinds]:
+        what = "has another column," if odd[0] in header else "lacks the column"
+        raise ValueError(f"{path} {what} {odd[0]!r}: {remedy}")
+    for row in reader:
+        try:
+            rows.append({name: kinds[name](row[name]) for name in header if row[name] != ""})
+            whole = set(needed) <= set(rows[-1]) and None not in row and None not in row.values()
+        except (TypeError, ValueError):
+            whole = False
+        if not whole:
+            raise ValueError(f"line {reader.line_num} of {path} is damaged: {remedy}")
+    return rows
 
 
 def results_csv(rows: Sequence[dict[str, Any]]) -> str:
@@ -195,13 +231,10 @@ def _curves_csv(curves: Mapping[Run, Curve]) -> str:
 
 
 def _read_curves(path: Path) -> dict[Run, Curve]:
+    kinds = dict(zip(_CURVE_COLUMNS, (str, str, int, float, float), strict=True))
     points: dict[Run, list[tuple[float, float]]] = {}
-    try:
-        for row in csv.DictReader(path.read_text().splitlines()):
-            run = (row["task"], row["algorithm"], int(row["seed"]))
-            points.setdefault(run, []).append((float(row["env_steps"]), float(row["return"])))
-    except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError):
-        return {}
+    for row in _read_table(path, kinds, _CURVE_COLUMNS):
+        points.setdefault(_run(row), []).append((row["env_steps"], row["return"]))
     return {run: Curve(*np.array(pairs).T) for run, pairs in points.items()}
 
 
@@ -210,7 +243,7 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     interval by Student's t.
 
     Parentheses have the number of seeds that failed, which the mean leaves out, and the number that is not done yet.
-    Tables of interquartile means and of durations follow.
+    Tables of interquartile means and of durations follow. Durations are those of whole runs if all rows have them.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -219,9 +252,11 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
         lines.append(f"| {task} | " + " | ".join(_cell(suite, rows, task, name) for name in names) + " |")
         if suite.scale == "paper" and task in PAPER:
             lines.append("| the paper's | " + " | ".join(PAPER[task].get(name, "") for name in names) + " |")
+    whole = all("wall_seconds" in row for row in rows if "seconds" in row)
+    minutes = "Minutes of a run" if whole else "Minutes of training alone, without compilation and evaluation"
     for title, digest in (
         ("Interquartile means over seeds:", _middle),
-        ("Minutes of a run, median over seeds:", _minutes),
+        (f"{minutes}, median over seeds:", functools.partial(_minutes, "wall_seconds" if whole else "seconds")),
     ):
         lines += ["", title, "", *lines[:2]]
         for task in [task for task in suite.tasks if any(row["task"] == task for row in rows)]:
@@ -235,10 +270,8 @@ def _middle(rows: Sequence[dict[str, Any]]) -> str:
     return _number(interquartile_mean(returns)) if returns else ""
 
 
-def _minutes(rows: Sequence[dict[str, Any]]) -> str:
-    seconds = [
-        row.get("wall_seconds") or row["seconds"] for row in rows if "seconds" in row and math.isfinite(row["sampled"])
-    ]
+def _minutes(measure: str, rows: Sequence[dict[str, Any]]) -> str:
+    seconds = [row[measure] for row in rows if measure in row and math.isfinite(row["sampled"])]
     return f"{float(np.median(seconds)) / 60.0:.1f}" if seconds else ""
 
 

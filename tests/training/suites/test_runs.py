@@ -120,12 +120,49 @@ def test_results_and_curves_outlive_the_directories_of_runs(suite, tmp_path, mon
     assert not (tmp_path / "PointMass.png").exists()
 
 
-def test_damaged_results_are_computed_again(suite, tmp_path):
-    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
-    (tmp_path / "results.csv").write_text("task,algorithm,seed,sampled\nPointMass,calm,0,3.0\nPointMass\n")
-    (tmp_path / "curves.csv").write_bytes(b"\xff\xfe\n1,2")
-    assert run(part, tmp_path)[0] == 0
-    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+def _kept(folder):
+    """Two files as a finished suite leaves them, without run directories."""
+    folder.mkdir()
+    run = {**dict.fromkeys(COLUMNS, ""), "task": "PointMass", "algorithm": "calm", "env_steps": 36, "sampled": 3.0}
+    (folder / "results.csv").write_text(tables.results_csv([{**run, "seed": seed} for seed in (0, 1)]))
+    (folder / "curves.csv").write_text("task,algorithm,seed,env_steps,return\nPointMass,calm,0,12,1\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "sentence"),
+    [
+        ("results.csv", lambda b: b.replace(b"3.0", b"3.O", 1), r"line 2 of .*results\.csv is damaged: restore it, or"),
+        ("results.csv", lambda b: b[:-9], r"line 3 of .*results\.csv is damaged"),
+        ("results.csv", lambda b: b + b"\xff", r"results\.csv cannot be read .*: restore it, or move it away"),
+        ("results.csv", lambda b: b.replace(b",", b";"), r"results\.csv lacks the column 'task': restore"),
+        ("results.csv", lambda b: b.replace(b"task", b"note,task", 1), r"has another column, 'note': restore"),
+        ("results.csv", lambda b: b"", r"results\.csv lacks the column 'task'"),
+        ("curves.csv", lambda b: b + b"PointMass,calm,1", r"line 3 of .*curves\.csv is damaged"),
+    ],
+)
+def test_what_cannot_be_read_is_not_overwritten(suite, tmp_path, name, damage, sentence):
+    folder = tmp_path / "kept"
+    _kept(folder)
+    path = folder / name
+    path.write_bytes(damage(path.read_bytes()))
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    new = {"task": "PointMass", "algorithm": "wild", "seed": 0, "sampled": 1.0}
+    for write in (lambda: run(suite, folder), lambda: tables.write_results(suite, [new], folder, pictures=())):
+        with pytest.raises(ValueError, match=sentence):
+            write()
+        assert {name: (folder / name).read_bytes() for name in before} == before
+
+
+def test_a_file_that_a_spreadsheet_has_saved_is_read(suite, tmp_path):
+    _kept(tmp_path / "kept")
+    for name in ("results.csv", "curves.csv"):
+        path = tmp_path / "kept" / name
+        path.write_text("\ufeff" + path.read_text().replace("\n", "\r\n"), newline="")
+    assert read_results(tmp_path / "kept")["PointMass", "calm", 1]["sampled"] == 3.0
+    new = {"task": "PointMass", "algorithm": "wild", "seed": 0, "sampled": 1.0, "deterministic": 1.0}
+    tables.write_results(suite, [new], tmp_path / "kept", pictures=())
+    assert len(read_results(tmp_path / "kept")) == 3
+    assert "PointMass,calm,0,12,1" in (tmp_path / "kept" / "curves.csv").read_text()
 
 
 def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path, monkeypatch):
@@ -155,7 +192,8 @@ def test_runs_that_failed_count_neither_for_minutes_nor_for_curves(tmp_path, mon
         tables._cell(suite, [{**cell, "seed": 0}, {**cell, "seed": 1}], "Hopper", "sapo")
         == "-4.0 (126 of 128 episodes failed)"
     )
-    assert tables._minutes([{**row, "seed": 0}, {**row, "seed": 1, "sampled": 1.0, "seconds": 600.0}]) == "10.0"
+    minutes = tables._minutes("seconds", [{**row, "seed": 0}, {**row, "seed": 1, "sampled": 1.0, "seconds": 600.0}])
+    assert minutes == "10.0"
     drawn = {}
     monkeypatch.setattr("rewax.viz.curves.curves_of_seeds", lambda runs, *args, **kwargs: drawn.update(runs))
     suite = Suite(name="one", scale="small", tasks=("Hopper",), algorithms=("sapo",), seeds=(0, 1))
@@ -224,6 +262,10 @@ def test_results_of_other_options_are_not_mixed(suite, tmp_path):
         run(suite, tmp_path / "file")
 
 
+def lacks(row):
+    return {name: value for name, value in row.items() if name != "wall_seconds"}
+
+
 def test_the_table_stands_beside_the_papers():
     suite = Suite(name="p", scale="paper", tasks=("AntRun",), algorithms=("shac", "sapo"), seeds=(0, 1, 2))
     rows = [
@@ -234,6 +276,11 @@ def test_the_table_stands_beside_the_papers():
     assert lines[3] == "| the paper's | 3621.0 ± 54.4 | 4535.9 ± 24.5 |"
     assert lines[9:11] == ["| AntRun |  | 4501 |", ""]
     assert lines[-1] == "| AntRun |  | 1.0 |"
+    assert lines[11] == "Minutes of training alone, without compilation and evaluation, median over seeds:"
+    rows = [{**row, "wall_seconds": 120.0} for row in rows]
+    for measured, title, last in ((rows, "Minutes of a run, ", "2.0"), ([*rows[:2], lacks(rows[2])], "training", "1.0")):
+        lines = markdown(suite, measured).splitlines()
+        assert title in lines[11] and lines[-1] == f"| AntRun |  | {last} |"
 
 
 def test_every_run_is_sharded_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
