@@ -11,8 +11,8 @@ Constructors convert numbers (``Sphere(radius=0.1)``, ``gravity=(0, -9.81, 0)``)
 import dataclasses
 import numbers
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,35 @@ def number(
       kwargs: arguments of ``dataclasses.field``, such as ``default``. A field with default None may be None.
     """
     return field(metadata={"number": (legal, remedy, shape), "vector": vector}, **kwargs)
+
+
+class Structure(NamedTuple):
+    """A tree's structure with the classes of its nodes, as a key.
+
+    With jaxlib 0.10.1 the structures of two classes with equal field names compare equal if ``flax.struct.dataclass``
+    or ``jax.tree_util.register_dataclass`` made them.
+    """
+
+    treedef: Any
+    """The structure."""
+    classes: tuple[type, ...]
+    """Class of each node, parents first."""
+
+    @classmethod
+    def of(cls, treedef: Any) -> "Structure":
+        return cls(treedef, tuple(_classes(treedef)))
+
+    def unflatten(self, leaves: Iterable[Any]) -> Any:
+        """The tree of these leaves."""
+        return jax.tree.unflatten(self.treedef, leaves)
+
+
+def _classes(treedef: Any) -> Iterator[type]:
+    data = treedef.node_data()
+    if data is not None:  # no leaf
+        yield data[0]
+        for child in treedef.children():
+            yield from _classes(child)
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field, static_field, number))
@@ -242,4 +271,4 @@ class Replaceable:
             ...
 
 
-__all__ = ["Replaceable", "dataclass", "field", "number", "replace_leaf", "static_field"]
+__all__ = ["Replaceable", "Structure", "dataclass", "field", "number", "replace_leaf", "static_field"]

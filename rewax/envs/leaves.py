@@ -28,7 +28,7 @@ class _Form:
       spelled: the same with their types, because 1 == 1.0 == True and 0.0 == -0.0.
     """
 
-    treedef: Any
+    treedef: struct.Structure
     names: tuple[str, ...]
     numbers: tuple[float | None, ...]
     spelled: tuple[str, ...]
@@ -62,13 +62,13 @@ class EnvLeaves(struct.Replaceable):
             if number is None
         }
         spelled = tuple(_spelled(number) for number in numbers)
-        return cls(arrays=arrays, form=_Form(treedef, names, numbers, spelled), axis=axis)
+        return cls(arrays=arrays, form=_Form(struct.Structure.of(treedef), names, numbers, spelled), axis=axis)
 
     def build(self) -> Any:
         """The environment. Gradient: exact with respect to ``arrays``."""
         numbers = zip(self.form.names, self.form.numbers, strict=True)
         leaves = [self.arrays[name] if number is None else number for name, number in numbers]
-        return jax.tree.unflatten(self.form.treedef, leaves)
+        return self.form.treedef.unflatten(leaves)
 
     def first(self) -> Any:
         """The first environment of a batch, or the only one."""

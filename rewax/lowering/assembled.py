@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax import struct
 from rewax.lowering import build, report, stencils
 from rewax.lowering.by_content import ByContent
 from rewax.lowering.ffi_layout import Operand, batch_shape, cpu_rules, operands_of
@@ -171,7 +172,8 @@ def _inner(program: Program, corners: int) -> _Inner:
     reads = tuple(a.read for a in leaves if isinstance(a, _Slot))
     varies = tuple(program.varies[r.argument] for r in reads)
     perturbed = tuple(program.perturbed[r.argument] for r in reads) if program.perturbed else ()
-    one = Program(program.rules, broadcast(whole.function), None, treedef, constants, varies, perturbed)
+    structure = struct.Structure.of(treedef)
+    one = Program(program.rules, broadcast(whole.function), None, structure, constants, varies, perturbed)
     return _Inner(whole, one, reads)
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from rewax import struct
 from rewax.lowering.linear_primitive import Arrays, ByPlatform
 from rewax.lowering.recompute import RECOMPUTED, Program, Rules
 from rewax.types import Array
@@ -103,9 +104,8 @@ def trace_rule(
     count = len(function.in_avals)
     arrays = (0,) * count
     perturbed = (*program.perturbed, *(False,) * (count - len(program.perturbed)))
-    flat = Program(
-        program.rules, jaxpr_as_fun(function), None, jax.tree.structure(arrays), (None,) * count, (), perturbed
-    )
+    structure = struct.Structure.of(jax.tree.structure(arrays))
+    flat = Program(program.rules, jaxpr_as_fun(function), None, structure, (None,) * count, (), perturbed)
     rule = getattr(RECOMPUTED, which)
     return _traced(lambda *a: rule(flat, a[:count], a[count:]), avals)
 

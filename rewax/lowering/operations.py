@@ -280,7 +280,10 @@ class Operations:
         Raises:
           UnsupportedError: lanes of the program's precision cannot hold them.
         """
-        dtype = np.dtype(dtype)
+        try:
+            dtype = np.dtype(dtype)
+        except TypeError:  # random keys
+            raise UnsupportedError(f"it has numbers of type {dtype} beside {self.dtype}") from None
         if np.issubdtype(dtype, np.floating):
             return "f"
         if dtype == np.bool_:

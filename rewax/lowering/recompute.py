@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 
+from rewax import struct
 from rewax.lowering.linear_primitive import Arrays, Rule, linear_call, no_transpose
 from rewax.lowering.report import name_of
 from rewax.types import Array
@@ -59,7 +60,7 @@ class Program(NamedTuple):
     rules: Rules
     function: Callable[..., Any]
     derivative_of: Callable[..., Any] | None
-    treedef: Any
+    treedef: struct.Structure
     constants: tuple[Any, ...]
     """For each leaf of the arguments: (type, value, repr) of a Python number, None for an array."""
     varies: tuple[bool, ...] = ()
@@ -74,7 +75,7 @@ class Program(NamedTuple):
 
     def arguments(self, arrays: Arrays) -> Any:
         rest = iter(arrays)
-        return jax.tree.unflatten(self.treedef, [next(rest) if c is None else c[1] for c in self.constants])
+        return self.treedef.unflatten(next(rest) if c is None else c[1] for c in self.constants)
 
     def apply(self, arrays: Arrays) -> Any:
         return self.function(*self.arguments(arrays))
@@ -111,7 +112,7 @@ def run_program(program: Program, arrays: list[Array]) -> Any:
     return jax.tree.unflatten(jax.tree.structure(program.results(arrays)), _call(program, *arrays))
 
 
-def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
+def split_arguments(args: Any) -> tuple[list[Array], struct.Structure, tuple[Any, ...]]:
     """Arrays, structure and Python numbers of a pytree, as a ``Program`` stores them."""
     leaves, treedef = jax.tree.flatten(args)
     # Python numbers stay Python numbers: as arrays they would take part in type promotion.
@@ -120,7 +121,7 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
         (type(leaf), _one_nan(leaf), repr(leaf)) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves
     )
     arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
-    return arrays, treedef, constants
+    return arrays, struct.Structure.of(treedef), constants
 
 
 def _one_nan(number: Any) -> Any:
@@ -192,6 +193,11 @@ def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Array
     program = program._replace(perturbed=perturbed)
     linear = [jnp.asarray(t) for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
+    if other := [a.dtype for a in out if not jnp.issubdtype(a.dtype, jnp.inexact)]:
+        raise ValueError(
+            f"{name_of(program.function)} is differentiated and has a result of type {other[0]}: return floating-point "
+            "arrays, and compare or count them outside"
+        )
     known = () if program.derivative_of is None else tuple(out)
     forward, reverse = program.rules.tangent, program.rules.cotangent
     return out, linear_call(forward, reverse, program, (*arrays, *known), linear, like=out)

@@ -18,10 +18,15 @@ class Stencil(ByContent):
     Attributes:
       indices: int32 of shape (num_elements, num_corners), read-only.
       num_vertices: length of arrays over vertices.
+
+    Raises:
+      ValueError: an index below 0, or not below num_vertices: C++ would read beside the array.
     """
 
     def __init__(self, indices: np.ndarray, num_vertices: int) -> None:
         self.indices = np.array(indices, np.int32)
+        if odd := self.indices[(self.indices < 0) | (self.indices >= num_vertices)].tolist():
+            raise ValueError(f"an element has vertex {odd[0]}, but there are {num_vertices}: they count from 0")
         self.indices.setflags(write=False)
         self.num_vertices = num_vertices
         super().__init__(self.indices.tobytes(), self.indices.shape, num_vertices)

@@ -9,6 +9,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.sensors.hits import Hits, Rays
 from rewax.sensors.world import NOTHING, Solid
+from rewax.struct import Structure
 from rewax.types import Array
 
 
@@ -27,7 +28,7 @@ def see_solids(solids: Sequence[Solid], labels: Mapping[str, int], rays: Rays, *
     groups: dict[tuple, list[Solid]] = {}
     for solid in solids:
         leaves, treedef = jax.tree.flatten(solid.shape)
-        groups.setdefault((treedef, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(solid)
+        groups.setdefault((Structure.of(treedef), tuple(jnp.shape(leaf) for leaf in leaves)), []).append(solid)
     return [_see_kind(group, labels, rays, everything=everything) for group in groups.values()]
 
 

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -242,3 +243,36 @@ def test_a_traced_value_from_outside_is_refused(way, around, recwarn):
         around(loss)(2.0)
     assert not recwarn.list
     assert float(loss(2.0)) == 6.0
+
+
+@flax.struct.dataclass
+class Soft:
+    k: jax.Array
+
+    def force(self, x):
+        return self.k * x
+
+
+@flax.struct.dataclass
+class Hard(Soft):
+    def force(self, x):
+        return 100.0 * self.k * x
+
+
+@pytest.mark.parametrize("decorator", [recomputed, interpreted, pointwise])
+def test_classes_with_the_same_fields_have_programs_of_their_own_outside_jit(decorator):
+    force = decorator(lambda law, x: law.force(x))
+    one, x = jnp.ones(()), jnp.array([0.25])
+    for law, slope in ((Soft(one), 1.0), (Hard(one), 100.0)):
+        assert force(law, x)[0] == 0.25 * slope
+        assert jax.grad(lambda x, law=law: force(law, x).sum())(x)[0] == slope
+        assert jax.vmap(lambda x, law=law: force(law, x))(x[None])[0, 0] == 0.25 * slope
+
+
+@pytest.mark.parametrize("decorator", [recomputed, interpreted, pointwise])
+def test_a_result_that_is_not_floating_point_has_a_value_and_a_derivative_is_refused(decorator):
+    force = decorator(lambda k, x: (k * x, x > k))
+    k, x = jnp.float32(0.5), jnp.array([0.25, 0.75], jnp.float32)
+    assert force(k, x)[1].tolist() == [False, True]
+    with pytest.raises(ValueError, match=r"is differentiated and has a result of type bool: return floating-point"):
+        jax.grad(lambda k: force(k, x)[0].sum())(k)

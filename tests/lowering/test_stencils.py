@@ -59,3 +59,9 @@ def test_entries_beyond_the_last_element_add_nothing_in_either_direction(counts)
             np.add.at(expected, STENCIL.indices[element], [1.0, 2.0, 3.0])
         np.testing.assert_array_equal(found[scene], expected)
         np.testing.assert_array_equal(pulled[scene], expected)
+
+
+@pytest.mark.parametrize("odd", [-1, 3])
+def test_a_vertex_that_is_not_there_is_refused(odd):
+    with pytest.raises(ValueError, match=f"an element has vertex {odd}, but there are 3: they count from 0"):
+        Stencil([[0, 1], [1, odd]], num_vertices=3)

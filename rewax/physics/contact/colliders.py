@@ -124,7 +124,7 @@ def runs(colliders: Sequence[Collider]) -> list[slice]:
 
     def kind(collider: Collider) -> Any:
         leaves, treedef = jax.tree.flatten(collider.replace(body=0))
-        return treedef, tuple(jnp.shape(leaf) for leaf in leaves)
+        return struct.Structure.of(treedef), tuple(jnp.shape(leaf) for leaf in leaves)
 
     ends = list(itertools.accumulate(len(list(run)) for _, run in itertools.groupby(colliders, kind)))
     return [slice(*ends) for ends in itertools.pairwise([0, *ends])]

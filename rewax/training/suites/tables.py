@@ -175,9 +175,10 @@ def _read_table(path: Path, kinds: Mapping[str, type], needed: Sequence[str]) ->
         raise ValueError(f"{path} cannot be read ({error}): {remedy}") from None
     reader, rows = csv.DictReader(io.StringIO(text, newline="")), []
     header = reader.fieldnames or []
-    if odd := [name for name in [*kinds, *header] if name not in header and name not in LATER or name not in kinds]:
-        what = "has another column," if odd[0] in header else "lacks the column"
-        raise ValueError(f"{path} {what} {odd[0]!r}: {remedy}")
+    if missing := [name for name in kinds if name not in (*header, *LATER)]:
+        raise ValueError(f"{path} lacks the column {missing[0]!r}: {remedy}")
+    if other := [name for name in header if name not in kinds]:
+        raise ValueError(f"{path} has another column, {other[0]!r}: {remedy}")
     for row in reader:
         try:
             rows.append({name: kinds[name](row[name]) for name in header if row[name] != ""})

@@ -278,7 +278,10 @@ def test_the_table_stands_beside_the_papers():
     assert lines[-1] == "| AntRun |  | 1.0 |"
     assert lines[11] == "Minutes of training alone, without compilation and evaluation, median over seeds:"
     rows = [{**row, "wall_seconds": 120.0} for row in rows]
-    for measured, title, last in ((rows, "Minutes of a run, ", "2.0"), ([*rows[:2], lacks(rows[2])], "training", "1.0")):
+    for measured, title, last in (
+        (rows, "Minutes of a run, ", "2.0"),
+        ([*rows[:2], lacks(rows[2])], "training", "1.0"),
+    ):
         lines = markdown(suite, measured).splitlines()
         assert title in lines[11] and lines[-1] == f"| AntRun |  | {last} |"
 
