@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
@@ -147,7 +148,7 @@ class _Builder(Operations):
     def is_foreign(self, variable: Any) -> bool:
         """Whether a variable is of another floating type than the program."""
         dtype = variable.aval.dtype
-        return np.issubdtype(dtype, np.floating) and dtype != self.dtype
+        return jnp.issubdtype(dtype, np.floating) and dtype != self.dtype
 
     def scan(self, eqn: Any, args: list[Values]) -> list[Values]:
         """Unrolls a short loop."""

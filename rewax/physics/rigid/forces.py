@@ -43,6 +43,11 @@ from rewax.physics.rigid.spring_contacts import Penalty, PointForces, limit_forc
 from rewax.physics.rigid.weld import weld_drifts
 from rewax.types import Array
 
+LEAST_FRICTION = 1e-2
+"""Coefficient of friction below which single precision regularises a contact like one with this coefficient.
+
+With a coefficient mu, MuJoCo makes the rows of a contact 1 / mu^2 times as stiff, and 1e10 times the mass is beyond
+float32. The force of friction still has mu."""
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions of actuators that act on one joint."""
 
@@ -297,9 +302,13 @@ def rows_and_contacts(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.D
     """``constraint_rows``, and the contacts that the last of them belong to; None without contacts."""
     if model.penalty is None:
         contact = collide(model.static.collisions, m, d) if model.static.has_contacts else None
+        if contact is not None:  # as in MuJoCo, whose rows contain 1 / friction
+            contact = contact.replace(friction=jnp.maximum(contact.friction, mujoco.mjMINMU))
         if model.static.mj.ntendon:
             d = mjx.tendon(m, d)
         jacobian, stiffness, target, loss = constraint_arrays(m, d, contact)
+        if contact is not None and stiffness.dtype == np.float32:
+            stiffness = _softened(stiffness, contact)
         infinite = jnp.full_like(stiffness, jnp.inf)
         index, (num_equalities, num_dry) = np.arange(len(loss)), num_bounded_rows(d)
         equality, dry = index < num_equalities, (index >= num_equalities) & (index < num_equalities + num_dry)
@@ -314,3 +323,12 @@ def rows_and_contacts(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.D
         return Rows(jacobian, stiffness, target, lower, upper), contact
     none = jnp.zeros(0, d.qpos.dtype)
     return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none), None
+
+
+def _softened(stiffness: Array, contact: mjx.Contact) -> Array:
+    """Stiffness of all rows, the last of which are those of the contacts, with ``LEAST_FRICTION``."""
+    dim = np.asarray(contact.dim)
+    rows = np.where(dim == 1, 1, 2 * (dim - 1))
+    share = jnp.where(dim == 1, 1.0, jnp.minimum(contact.friction[:, 0] / LEAST_FRICTION, 1.0) ** 2)
+    first = len(stiffness) - rows.sum()
+    return stiffness.at[first:].multiply(share[np.repeat(np.arange(len(dim)), rows)].astype(stiffness.dtype))
