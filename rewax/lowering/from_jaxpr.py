@@ -14,7 +14,7 @@ from jax.extend.core import ClosedJaxpr
 
 from rewax.lowering.indexing import Values, rows
 from rewax.lowering.linear_primitive import linear_call_p, run_scalar_form
-from rewax.lowering.operations import ARITHMETIC, Loop, Operation, Operations, UnsupportedError
+from rewax.lowering.operations import ARITHMETIC, Loop, Operation, Operations, UnsupportedError, plain_type
 from rewax.lowering.primitives import PRIMITIVES, Equation, select
 from rewax.lowering.structural import marks_structural_zeros
 
@@ -94,7 +94,7 @@ class _Builder(Operations):
             return self.literal(np.asarray(v.val, v.aval.dtype)) if hasattr(v, "val") else values[v]
 
         for v, value in zip(jaxpr.constvars, consts, strict=True):
-            values[v] = self.literal(np.asarray(value, v.aval.dtype))
+            values[v] = self.literal(np.asarray(value, plain_type(v.aval.dtype)))
         values |= zip(jaxpr.invars, args, strict=True)
         for eqn in jaxpr.eqns:
             outs = self.equation(eqn, [read(v) for v in eqn.invars])

@@ -280,10 +280,7 @@ class Operations:
         Raises:
           UnsupportedError: lanes of the program's precision cannot hold them.
         """
-        try:
-            dtype = np.dtype(dtype)
-        except TypeError:  # random keys
-            raise UnsupportedError(f"it has numbers of type {dtype} beside {self.dtype}") from None
+        dtype = plain_type(dtype)
         if np.issubdtype(dtype, np.floating):
             return "f"
         if dtype == np.bool_:
@@ -336,6 +333,18 @@ class Operations:
         if kind != "f" and exponent == 1:
             return a
         return self.apply("mul", squared, a) if exponent % 2 else squared
+
+
+def plain_type(dtype: Any) -> np.dtype:
+    """A type of NumPy.
+
+    Raises:
+      UnsupportedError: NumPy has no such type.
+    """
+    try:
+        return np.dtype(dtype)
+    except TypeError:  # random keys
+        raise UnsupportedError(f"it has numbers of type {dtype}") from None
 
 
 def wrapped(value: int, kind: str) -> int:
