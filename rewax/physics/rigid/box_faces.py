@@ -18,6 +18,8 @@ _ALIGNED = 0.01
 """Sine of the angle between two edges. Below it their crossing point has no derivative."""
 _TINY = 1e-9
 _SIGNS = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+_ENDS = np.array([(0, 0, 2, 1), (1, 2, 3, 3)])
+"""Numbers in ``_SIGNS`` of the corners at both ends of each side."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -116,6 +118,8 @@ def box_faces(
 def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, Array]:
     """Corners of the intersection of two rectangles seen from above, at the height of the second; whether each exists.
 
+    Each corner is listed once, also where corners or sides coincide.
+
     Args:
       middle, sides: center and half sides of the second rectangle, shapes (3,) and (2, 3); z is the height.
       reach: half sides of the first rectangle, which is centered at the origin, shape (2,).
@@ -125,16 +129,23 @@ def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, A
     corner = middle + jnp.sum(signs[:, :, None] * sides, axis=1)
     inside = jnp.all(jnp.abs(corner[:, :2]) <= reach, axis=-1)
 
-    # Crossings of the second's sides with the lines of the first's sides: [side, x or y, which of the two lines].
+    # Crossings of the second's sides with the lines of the first's sides: [side, x or y, which of the two lines]. An
+    # end on a line does not cross it, because a corner there is inside.
     start = jnp.concatenate([middle - sides, middle + sides])
     way = jnp.concatenate([sides[::-1], sides[::-1]])
-    line, run = start[:, :2, None], way[:, :2, None]
-    crosses = jnp.abs(run) > _TINY * jnp.max(reach)
-    share = (two * reach[:, None] - line) / jnp.where(crosses, run, 1.0)
+    line, run, wall = start[:, :2, None], way[:, :2, None], two * reach[:, None]
+    one, other = (corner[ends, :2, None] for ends in _ENDS)
+    crosses = ((one < wall) & (other > wall)) | ((one > wall) & (other < wall))
+    crosses &= jnp.abs(run) > _TINY * jnp.max(reach)
+    share = (wall - line) / jnp.where(crosses, run, 1.0)
     aligned = jnp.abs(run) < _ALIGNED * jnp.sqrt(jnp.sum(run * run, axis=1, keepdims=True))
     share = jnp.where(aligned, jax.lax.stop_gradient(share), share)
     across = line[:, ::-1] + run[:, ::-1] * share
-    crosses &= (jnp.abs(share) <= 1.0) & (jnp.abs(across) <= reach[::-1, None])
+    crosses &= jnp.abs(across) <= reach[::-1, None]
+    # A side through a corner of the first crosses a line of x and a line of y at one point, which is listed once.
+    apart = jnp.abs(share[:, 0, :, None] - share[:, 1, None, :])
+    twice = jnp.any(crosses[:, 0, :, None] & (apart <= 4.0 * jnp.finfo(reach.dtype).eps), axis=1)
+    crosses &= ~jnp.stack([jnp.zeros_like(twice), twice], axis=1)
     crossing = start[:, None, None] + share[..., None] * way[:, None, None]
 
     # Corners of the first inside the second.

@@ -142,8 +142,15 @@ def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple
     from_end = jnp.minimum(2.0, jnp.min(jnp.where(way > 0, way, _BEYOND))) * inward
     over_face = jnp.any(nearest.face > 0)
 
-    # From a corner: axes along which the capsule points away from it or towards it, as seen from its own direction.
-    differs = (half > 0) != (nearest.corner > 0)
+    # Axes along which the capsule points away from the corner or towards it, as seen from its own direction. Along an
+    # axis at right angles to it, it points as fits the direction in which it goes most.
+    points_away = (half > 0) != (nearest.corner > 0)
+
+    def completed(main: Array) -> Array:
+        return jnp.where(has_reach, points_away, ~jnp.any(points_away & (main > 0)))
+
+    # From a corner.
+    differs = completed(jax.nn.one_hot(jnp.argmax(jnp.abs(half)), 3))
     count = jnp.sum(differs)
     forward = jnp.where(count == 1, 1.0, -1.0)
     single = jnp.where(count == 1, differs, ~differs)
@@ -154,9 +161,9 @@ def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple
     at_corner = (count == 1) | (count == 2)
 
     # From an edge, across the face along which the capsule goes more.
-    across = jnp.where(nearest.edge > 0, -1.0, reach)
+    across = jnp.where(nearest.edge > 0, -1.0, jnp.abs(half))
     main = jax.nn.one_hot(jnp.argmax(across), 3, dtype=half.dtype)
-    sides = differs & (nearest.edge == 0)
+    sides = completed(main) & (nearest.edge == 0)
     ahead = jnp.any(sides & (main > 0))
     forward = jnp.where(ahead, 1.0, -1.0)
     same = jnp.any((half > 0) & (nearest.edge > 0)) == ahead

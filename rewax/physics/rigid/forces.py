@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering.structural import structural_zeros
+from rewax.physics.numerics.clipping import clipped
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import (
     matrix_to_quaternion,
@@ -116,10 +117,8 @@ def applied_forces(
     """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); time derivative of ``act``."""
     topology = model.static.topology
     twist = body_velocities(topology, kin, d.qvel)
-    d = mjx.fwd_actuation(
-        m,
-        mjx.passive(m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness)), _drives(model, m, d.replace(cvel=twist))),
-    )
+    springless = m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness))
+    d = _actuated(model, m, mjx.passive(springless, _drives(model, m, d.replace(cvel=twist))))
     arm = kin.com - kin.tree_com
     torque = wrenches[:, 3:] + cross(arm, wrenches[:, :3])
     external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
@@ -149,7 +148,7 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     d = _drives(model, m, d)
 
     def pull(velocity: Array) -> Array:
-        return mjx.fwd_actuation(m, with_actuator_velocities(d, velocity)).actuator_force
+        return _actuated(model, m, with_actuator_velocities(d, velocity)).actuator_force
 
     damping, mj = jnp.zeros((model.num_dofs, model.num_dofs), d.qvel.dtype), model.static.mj
     if model.static.mj.nu and not is_disabled(model.static.mj, "ACTUATION"):
@@ -167,6 +166,17 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
         damping += dot(jacobian.T, m.tendon_damping[:, None] * jacobian)
     carries = model.static.topology.moves[mj.dof_bodyid]
     return jnp.diag(model.parameters["dof_damping"]) + np.maximum(carries, carries.T).astype(damping.dtype) * damping
+
+
+def _actuated(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """``mjx.fwd_actuation`` with the derivative of the inside for controls at their limits, where MJX's has half."""
+    mj = model.static.mj
+    if not np.any(mj.actuator_ctrllimited) or is_disabled(mj, "CLAMPCTRL"):
+        return mjx.fwd_actuation(m, d)
+    low, high = m.actuator_ctrlrange.T
+    ctrl = jnp.where(mj.actuator_ctrllimited != 0, clipped(d.ctrl, low, high), d.ctrl)
+    unclamped = m.opt.disableflags | int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    return mjx.fwd_actuation(m.replace(opt=m.opt.replace(disableflags=unclamped)), d.replace(ctrl=ctrl))
 
 
 def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:

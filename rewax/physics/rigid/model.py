@@ -23,7 +23,7 @@ from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
 from rewax.physics.rigid.mjx_access import mjx, mujoco, num_bounded_rows
 from rewax.physics.rigid.overrides import Overrides, check_options, moving_geoms, with_overrides, without_idle_parts
-from rewax.physics.rigid.parameter_checks import check_compiled, check_unit_lengths, parameter_numbers
+from rewax.physics.rigid.parameter_checks import check_compiled, check_unit_lengths, parameter_numbers, size_numbers
 from rewax.physics.rigid.shown_to_mjx import with_groups_that_touch, without_contacts
 from rewax.physics.rigid.spring_contacts import Penalty, check_penalty
 from rewax.types import Array
@@ -74,6 +74,8 @@ class _Model:
             self.mjx = without_contacts(shown, mjx.put_model(shown, jax.local_devices()[0], impl="jax"))
             self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
         self.has_contacts = len(self.collisions.groups) + len(own) > 0
+        on_field = [group.geoms[:, 1] for group in self.collisions.groups if group.kinds[0] == "hfield"]
+        self.on_field = np.unique(np.concatenate([none, *on_field]))
         self.moving_geoms = moving_geoms(compiled)
         self.is_implicit = compiled.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         self.lone_dofs = mjcf.lone_dofs(compiled) if self.is_implicit else np.zeros((0, 6), int)
@@ -100,7 +102,9 @@ class RigidModel(struct.Replaceable):
         unlimited joints and actuators have no effect. Traced dry friction of a joint that was loaded without it has no
         effect; in a model loaded without damping, a traced one is explicit in time. Limits whose two margins overlap
         have one constraint instead of two. Mass and inertia are separate parameters: change both. Quaternions and axes
-        must keep length 1. The exponent of an impedance (the last entry of solimp) has no gradient.
+        must keep length 1. Sizes of meshes and height fields have no effect. Geoms on a height field must not grow, or
+        ``check_status`` sets ``Status.INVALID_PARAMETERS``. The exponent of an impedance (the last entry of solimp) has
+        no gradient.
       gravity: gravitational acceleration [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: the static part of the model.
@@ -144,8 +148,8 @@ class RigidModel(struct.Replaceable):
 
         Raises:
           ValueError: there is no such parameter, its shape differs, a value is illegal (not finite; a mass, size or
-            friction below 0; a range whose lower limit is the larger one), or the model was loaded without the damping
-            or dry friction to change.
+            friction below 0; a range whose lower limit is the larger one), the model was loaded without the damping or
+            dry friction to change, or a size cannot change.
         """
         for name, value in changes.items():
             if name not in self.parameters:
@@ -157,6 +161,8 @@ class RigidModel(struct.Replaceable):
                 )
             if name in ("dof_damping", "dof_frictionloss") and not isinstance(value, jax.core.Tracer):
                 self._check_loaded(name, np.asarray(value))
+            if name == "geom_size":
+                self._check_sizes(value)
         check_numbers(parameter_numbers(changes))
         check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
@@ -173,6 +179,21 @@ class RigidModel(struct.Replaceable):
             joint = mjcf.named(mj, "joint", np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong]))
             raise ValueError(
                 f"{joint} was loaded without {name}, so it cannot change: give it a positive value in the MJCF"
+            )
+
+    def _check_sizes(self, size: Any) -> None:
+        """Raises ValueError for a geom on a height field that grows, and a mesh or height field of another size."""
+        mj = self.static.mj
+        check_numbers(size_numbers(mj, size if isinstance(size, jax.Array) else np.asarray(size), self.static.on_field))
+        if isinstance(size, jax.core.Tracer):
+            return
+        kinds = mujoco.mjtGeom
+        fixed = np.isin(mj.geom_type, [int(kinds.mjGEOM_MESH), int(kinds.mjGEOM_HFIELD), int(kinds.mjGEOM_SDF)])
+        wrong = fixed & ~np.isclose(np.asarray(size), mj.geom_size, rtol=1e-4, atol=1e-9).all(axis=1)
+        if np.any(wrong):
+            raise ValueError(
+                f"{mjcf.named(mj, 'geom', wrong)} is a mesh or a height field, whose geom_size has no effect: scale it "
+                "in the MJCF"
             )
 
     def with_mocap(self, position: Array, quaternion: Array | None = None) -> "RigidModel":

@@ -38,12 +38,36 @@ def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
             limits = given if isinstance(given, jax.Array) else np.asarray(given)
             what, width = f"upper minus lower limit of {name}", limits[..., 1] - limits[..., 0]
             numbers.append(Number(what, width, NOT_NEGATIVE, "give the lower limit first"))
+    for name in (name for name in parameters if name.endswith("_solimp")):
+        given = parameters[name]
+        power = (given if isinstance(given, jax.Array) else np.asarray(given))[..., 4]
+        part = (power - power.round()) * (power > 1.0)  # MJX's derivative is not finite there
+        remedy = "give a power up to 1, or 2 or another integer"
+        numbers.append(Number(f"the fractional part of the power of {name}", part, Legal(-1e-6, 1e-6), remedy))
     return numbers
 
 
-def has_invalid_parameters(parameters: Mapping[str, Any], gravity: Array, penalty: Penalty | None) -> Array:
+def size_numbers(mj: mujoco.MjModel, size: Any, on_field: np.ndarray) -> list[Number]:
+    """How much larger geoms are than when they were loaded, for those whose size is bounded.
+
+    Args:
+      mj: the model as it was loaded.
+      size: ``geom_size``, shape (num_geoms, 3).
+      on_field: ids of geoms that may touch a height field: as many of its cells are searched as they covered.
+    """
+    if not len(on_field):
+        return []
+    larger = size[on_field] - 1.0001 * mj.geom_size[on_field]
+    remedy = "load the model with the largest sizes: as many cells of the field are searched as they cover"
+    return [Number("the growth of geom_size of geoms that may touch height fields", larger, Legal(high=1e-9), remedy)]
+
+
+def has_invalid_parameters(
+    parameters: Mapping[str, Any], gravity: Array, penalty: Penalty | None, mj: mujoco.MjModel, on_field: np.ndarray
+) -> Array:
     """Whether a model holds an illegal value, shape (), bool; for traced or replaced values. Gradient: none."""
     numbers = [*parameter_numbers(parameters), Number("gravity", gravity, FINITE, "give an acceleration in m/s^2")]
+    numbers += size_numbers(mj, parameters["geom_size"], on_field)
     legal = Legal((1.0 - _LENGTH_TOLERANCE) ** 2, (1.0 + _LENGTH_TOLERANCE) ** 2)
     for name in _UNIT_VECTORS:
         if name in parameters:
@@ -95,4 +119,4 @@ def _massless_dofs(mj: mujoco.MjModel) -> np.ndarray:
     return (mass[mj.dof_bodyid] <= 0.0) & (mj.dof_armature <= 0.0)
 
 
-__all__ = ["check_compiled", "check_unit_lengths", "has_invalid_parameters", "parameter_numbers"]
+__all__ = ["check_compiled", "check_unit_lengths", "has_invalid_parameters", "parameter_numbers", "size_numbers"]

@@ -159,7 +159,8 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     status |= flag(state.unsolved > 0, Status.UNSOLVED)
     if model is None:
         return status
-    invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty)
+    static = model.static
+    invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty, static.mj, static.on_field)
     return status | flag(invalid, Status.INVALID_PARAMETERS)
 
 

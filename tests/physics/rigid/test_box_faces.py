@@ -77,6 +77,34 @@ def test_a_box_that_lies_on_another_touches_at_its_corners(x64):
     np.testing.assert_allclose(point[:4, 2], 0.095, atol=1e-12)
 
 
+@pytest.mark.parametrize("above", [(0.1, 0.1, 0.1), (0.05, 0.1, 0.1), (0.1, 0.2, 0.1), (0.2, 0.1, 0.1)])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("single", [False, True])
+def test_corners_where_outlines_coincide_are_listed_once(above, turned, single):
+    """Cubes and bars on a cube, shifted along its sides: all meet at a rectangle."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) if turned else np.eye(3)
+    half = np.abs(turn @ above)[:2]
+    with jax.enable_x64(not single):
+        for shift in ((0.0, 0.0), (0.05, 0.0), (0.0, -0.05), (0.05, 0.05), (-0.12, 0.0)):
+            distance, point, _ = one(np.zeros(3), np.eye(3), np.full(3, 0.1), np.array([*shift, 0.199]), turn, above)
+            low, high = np.maximum(shift - half, -0.1), np.minimum(shift + half, 0.1)
+            corners = sorted((x, y) for x in (low[0], high[0]) for y in (low[1], high[1]))
+            found = sorted(map(tuple, np.round(point[distance < 0][:, :2].astype(float), 5)))
+            np.testing.assert_allclose(found, corners, atol=1e-5, err_msg=str(shift))
+
+
+def test_a_side_through_a_corner_is_one_corner(x64):
+    """A cube turned by 45 degrees over a corner of another one: the middle of its side is there, two corners outside."""
+    c = np.sqrt(0.5)
+    turn = np.array([[c, -c, 0.0], [c, c, 0.0], [0.0, 0.0, 1.0]])
+    center = np.array([0.5 - 0.2 * c, 0.5 - 0.2 * c, 0.69])
+    distance, point, _ = one(np.zeros(3), np.eye(3), np.full(3, 0.5), center, turn, np.full(3, 0.2))
+    found = sorted(map(tuple, np.round(point[distance < 0][:, :2], 9)))
+    x, y = np.round(0.5 - 0.4 * c, 9), np.round(0.5 - 0.2 * c - 0.2 * c, 9)
+    assert len(found) == len(set(found)) and (0.5, 0.5) in found and (x, y) not in found
+    assert all(max(abs(a), abs(b)) <= 0.5 for a, b in found)
+
+
 def test_edges_that_cross_touch_once(x64):
     """Two bars, each turned by 45 degrees about its length, across each other: edge on edge, 1 cm deep."""
     c = np.sqrt(0.5)

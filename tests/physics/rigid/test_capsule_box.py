@@ -94,3 +94,27 @@ def test_derivatives_are_finite_where_capsules_are_aligned_with_edges():
         for center, axis in (((0, 0.03, 0.06), (1, 0, 0)), ((0, 0, 0.06), (1, 0, 0)), ((0, 0, 0.1), (0, 0, 1))):
             inputs = [jnp.asarray(a, float) for a in (center, axis, SIZE, *BOX)]
             assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes_at(*inputs)))
+
+
+def test_a_capsule_along_an_axis_of_the_box_touches_twice(x64):
+    """Exactly aligned, over faces and beside edges. MuJoCo finds both contacts in at least one of its directions."""
+    mj = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><geom type="box" size=".05 .03 .04"/>
+      <body><freejoint/><geom type="capsule" size=".03 .06"/></body></worldbody></mujoco>""")
+    data = mujoco.MjData(mj)
+
+    def theirs(center, axis):
+        data.qpos[:3] = center
+        mujoco.mju_quatZ2Vec(data.qpos[3:], axis)
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_collision(mj, data)
+        return sorted((c.dist, *c.pos) for c in data.contact)
+
+    for axis in (*np.eye(3), *-np.eye(3)):
+        for side in (np.roll(axis, 1), np.roll(axis, 2)):
+            for shift in (0.0, 0.02):
+                center = side * (HALF + 0.025) + axis * shift
+                distance, point, _ = one(center, axis)
+                ours = sorted(map(tuple, np.column_stack([distance, point])[distance < 0]))
+                expected = max(theirs(center, axis), theirs(center, -axis), key=len)
+                assert len(expected) == 2
+                np.testing.assert_allclose(ours, expected, atol=1e-8, err_msg=f"{axis} {side} {shift}")

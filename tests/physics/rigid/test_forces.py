@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+import rigid_models
 from rigid_cases import ARM_ON_THE_FLOOR, VERSIONS, draw, home, loaded, simulate_in_c
 
 from rewax.physics import rigid
@@ -192,3 +193,41 @@ def test_penalties_of_limits_and_contacts_are_among_the_forces(x64):
     model = rigid.load(text, penalty=Penalty(stiffness=1e3, limit_stiffness=500.0))
     force = forces_at(model, np.array([1.01, 0, 0, 0.09, 1, 0, 0, 0]))
     np.testing.assert_allclose(force, [-5.0, 0, 0, 10.0, 0, 0, 0], atol=1e-9)
+
+
+SLOPE = """<mujoco><option timestep="0.002"/><worldbody><body euler="23 31 17"><geom type="plane" size="5 5 1" friction="0 0 0"/>
+</body><body><freejoint/><geom size="0.1" mass="1" friction="0 0 0"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("friction", "rel"), [(0.0, 1e-4), (1e-3, 1e-4), (0.3, 1e-5)])
+def test_a_ball_slides_down_a_slope_with_little_or_no_friction_in_single_precision(friction, rel):
+    """With a coefficient mu, rows of a contact are 1 / mu^2 times as stiff."""
+    mj = mujoco.MjModel.from_xml_string(SLOPE)
+    mj.geom_friction[:, 0] = friction
+    data = mujoco.MjData(mj)
+    mujoco.mj_kinematics(mj, data)
+    data.qpos[:3] = data.geom_xmat[0].reshape(3, 3)[:, 2] * 0.0998
+    with jax.enable_x64(False):
+        model = rigid.load(SLOPE)
+        model = model.with_parameters(geom_friction=model.parameters["geom_friction"].at[:, 0].set(friction))
+        state = rigid.initial_state(model, data.qpos)
+        end = jax.jit(functools.partial(rigid.step, num_substeps=50))(model, state)
+        assert rigid.check_status(end, model) == 0
+    for _ in range(50):
+        mujoco.mj_step(mj, data)
+    assert np.linalg.norm(data.qvel[:3]) > 0.3
+    np.testing.assert_allclose(end.qvel[:3], data.qvel[:3], rtol=rel, atol=rel)
+
+
+def test_a_control_at_its_limit_has_the_derivative_of_the_inside(x64):
+    """Both limits of a motor; beyond them none. A motor without limits has its own."""
+    motors = (
+        '<actuator><motor joint="turn0" gear="3" ctrlrange="-1 1" ctrllimited="true"/><motor joint="turn0"/></actuator>'
+    )
+    model = rigid.load(rigid_models.pendulum(1).replace("</worldbody>", "</worldbody>" + motors))
+    state = rigid.initial_state(model)
+    slope = jax.jit(jax.grad(lambda ctrl: rigid.step(model, state, ctrl).qvel[0]))
+    inside = slope(jnp.zeros(2))
+    assert inside[0] == pytest.approx(3.0 * inside[1]) and inside[1] > 0
+    for ctrl, share in ((1.0, 1.0), (-1.0, 1.0), (1.0 + 1e-9, 0.0), (-1.0 - 1e-9, 0.0)):
+        np.testing.assert_allclose(slope(jnp.array([ctrl, 5.0])), inside * np.array([share, 1.0]), rtol=1e-12)

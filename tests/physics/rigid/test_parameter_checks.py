@@ -40,7 +40,9 @@ def test_rigid_parameters_are_checked_when_replaced():
 def test_traced_parameters_are_flagged():
     model = rigid.load(BALL, penalty=Penalty(stiffness=1e3))
     invalid = jax.jit(
-        lambda p, damping: has_invalid_parameters(p, model.gravity, model.penalty.replace(damping=damping))
+        lambda p, damping: has_invalid_parameters(
+            p, model.gravity, model.penalty.replace(damping=damping), model.static.mj, model.static.on_field
+        )
     )
     mass = jnp.array([0.0, -1.0])
     assert not invalid(model.parameters, 0.0)
@@ -81,3 +83,44 @@ def test_dry_friction_is_that_of_the_joints_that_were_loaded_with_it():
     model.with_parameters(dof_frictionloss=np.array([0.5, 0.0]))
     with pytest.raises(ValueError, match=r"^joint 'b' was loaded without dof_frictionloss, so it cannot change"):
         model.with_parameters(dof_frictionloss=np.array([0.2, 5.0]))
+
+
+def flagged(model, name, value):
+    replaced = model.replace(parameters={**model.parameters, name: value})
+    return rigid.check_status(rigid.initial_state(model), replaced)
+
+
+def test_powers_of_impedances_without_a_finite_derivative_are_refused_and_flagged():
+    model = rigid.load(BALL)
+    powers = {power: model.parameters["geom_solimp"].at[0, 4].set(power) for power in (0.5, 1.0, 1.5, 2.0)}
+    for power, solimp in powers.items():
+        assert flagged(model, "geom_solimp", solimp) == (Status.INVALID_PARAMETERS if power == 1.5 else Status.OK)
+    with pytest.raises(
+        ValueError, match=r"fractional part of the power of geom_solimp\[0\] is -0\.5, .*: give a power up"
+    ):
+        model.with_parameters(geom_solimp=powers[1.5])
+
+
+FIELD = """<mujoco><asset><hfield name="h" nrow="9" ncol="9" size="1 1 .1 .1"/><mesh name="m" vertex="0 0 0 .2 0 0 0 .1 0 0 0 .1"/>
+</asset><worldbody><geom type="hfield" hfield="h"/><body pos="0 0 1"><freejoint/><geom size="0.1"/></body>
+<body pos="2 2 1"><freejoint/><geom name="gem" type="mesh" mesh="m" contype="0" conaffinity="0"/></body></worldbody></mujoco>"""
+
+
+def test_geoms_on_a_height_field_do_not_grow():
+    """As many of its cells are searched as they covered when they were loaded."""
+    model = rigid.load(FIELD)
+    size = model.parameters["geom_size"]
+    larger, smaller = size.at[1, 0].set(0.11), size.at[1, 0].set(0.09)
+    assert flagged(model, "geom_size", smaller) == flagged(model, "geom_size", size) == Status.OK
+    assert flagged(model, "geom_size", larger) == Status.INVALID_PARAMETERS
+    model.with_parameters(geom_size=smaller)
+    with pytest.raises(ValueError, match=r"the growth of geom_size .* is 0\.0\d+, .*: load the model with the largest"):
+        model.with_parameters(geom_size=larger)
+
+
+def test_the_size_of_a_mesh_is_no_parameter():
+    model = rigid.load(FIELD)
+    with pytest.raises(
+        ValueError, match=r"^geom 'gem' is a mesh or a height field, whose geom_size has no effect: scale"
+    ):
+        model.with_parameters(geom_size=model.parameters["geom_size"].at[2].multiply(2.0))
