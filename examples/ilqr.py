@@ -19,6 +19,7 @@ import numpy as np
 import tyro
 
 import rewax
+from rewax.status import FATAL
 from rewax.training import enable_compilation_cache
 from rewax.types import Array
 
@@ -62,7 +63,7 @@ def errors_and_jacobian(env: Any, state: Any, plan: Array, bound: float) -> tupl
     """Errors e_t, shape (horizon,), and their derivatives by the plan, shape (horizon, horizon, num_actions)."""
 
     def errors(plan: Array) -> tuple[Array, Array]:
-        e = jnp.sqrt(2.0 * (bound - rewards(env, state, plan)))
+        e = jnp.sqrt(2.0 * (bound - rewards(env, state, plan)[0]))
         return e, e
 
     jacobian, e = jax.jacfwd(errors, has_aux=True)(plan)
@@ -72,16 +73,19 @@ def errors_and_jacobian(env: Any, state: Any, plan: Array, bound: float) -> tupl
 @jax.jit
 def returns(env: Any, state: Any, plans: Array) -> Array:
     """Sums of rewards of plans, (n, horizon, num_actions) -> (n,); minus infinity after a failed step."""
-    total = jax.vmap(lambda plan: rewards(env, state, plan).sum())(plans)
-    return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+    steps, failed = jax.vmap(lambda plan: rewards(env, state, plan))(plans)
+    return jnp.where(failed.any(axis=1), -jnp.inf, steps.sum(axis=1))
 
 
-def rewards(env: Any, state: Any, plan: Array) -> Array:
-    """Rewards of a plan, shape (horizon,). Gradient: exact, through the physics."""
+def rewards(env: Any, state: Any, plan: Array) -> tuple[Array, Array]:
+    """Rewards of a plan, and whether each step failed numerically, shape (horizon,) each. A failed step has reward 0.
 
-    def step(state: Any, action: Array) -> tuple[Any, Array]:
+    Gradient: exact, through the physics.
+    """
+
+    def step(state: Any, action: Array) -> tuple[Any, tuple[Array, Array]]:
         state = env.step(state, action)
-        return state, state.reward
+        return state, (state.reward, (state.status & FATAL) != 0)
 
     return jax.lax.scan(step, state, plan)[1]
 
@@ -116,8 +120,10 @@ def main(args: Args) -> tuple[float, float]:
         state = step(env, state, jnp.asarray(plan[0]))
         total += float(state.reward)
         plan = np.concatenate([plan[1:], plan[-1:]])
-        if n % 10 == 9 or n == num_steps - 1:
+        if n % 10 == 9 or n == num_steps - 1 or state.done:
             print(f"step {n + 1:3d}  return {total:8.3f}  {time.perf_counter() - began:6.1f} s", flush=True)
+        if state.done:
+            break
     return total, time.perf_counter() - began
 
 

@@ -26,7 +26,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield unfinished
         unfinished.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a read-only disk: the first exception says so
+            unfinished.unlink(missing_ok=True)
 
 
 def check_can_write(path: str | Path) -> None:

@@ -3,11 +3,16 @@
 import runpy
 import types
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
+
+from rewax import struct
+from rewax.status import Status
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -44,6 +49,30 @@ def test_ilqr_takes_a_point_to_its_target_as_fast_as_the_actions_allow():
         best -= x**2
     assert start > 0.5 and float(names["returns"](env, state, plan[None])[0]) == pytest.approx(best, abs=0.01)
     assert plan[0] == -1.0 and np.abs(plan).max() <= 1.0
+
+
+class Costly(NamedTuple):
+    """State of an environment in which each step costs 1."""
+
+    reward: jax.Array
+    status: jax.Array
+
+
+@struct.dataclass
+class Fragile:
+    """A step with an action above 0.9 fails."""
+
+    def step(self, state, action):
+        failed = action[0] > 0.9
+        return Costly(jnp.where(failed, 0.0, -1.0), jnp.where(failed, int(Status.NAN), int(Status.OK)))
+
+
+def test_ilqr_leaves_out_plans_that_fail():
+    """A failed step has reward 0, which is more than any other here."""
+    plans = np.zeros((3, 4, 1), np.float32)
+    plans[1, 2], plans[2] = 1.0, 1.0
+    start = Costly(jnp.zeros(()), jnp.zeros((), int))
+    assert example("ilqr")["returns"](Fragile(), start, plans).tolist() == [-4.0, -np.inf, -np.inf]
 
 
 def test_ilqr_of_the_rolling_pin_earns_more_than_no_action():

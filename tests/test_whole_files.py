@@ -1,3 +1,6 @@
+import errno
+from pathlib import Path
+
 import pytest
 
 from rewax.whole_files import check_can_write, replacing
@@ -32,6 +35,17 @@ def test_a_block_that_writes_nothing_is_an_error_and_keeps_the_old_file(tmp_path
     with pytest.raises(FileNotFoundError), replacing(path):
         pass
     assert path.read_text() == "old"
+
+
+def test_a_disk_that_has_become_read_only_is_the_error(tmp_path, monkeypatch):
+    def refused(self, *args, **kwargs):
+        raise OSError(errno.EROFS, "Read-only file system", str(self))
+
+    for name in ("replace", "unlink"):
+        monkeypatch.setattr(Path, name, refused)
+    with pytest.raises(OSError, match="Read-only file system") as caught, replacing(tmp_path / "a") as unfinished:
+        unfinished.write_text("new")
+    assert caught.value.__context__ is None
 
 
 def test_two_at_once_do_not_meet(tmp_path):

@@ -54,7 +54,7 @@ def run(argv: Sequence[str]) -> int:
     cores_as_devices(options.devices)
     keep_freed_memory()
     enable_compilation_cache()
-    import_modules(options.imports)
+    modules = import_modules(options.imports)
     suite = read_suite(options.suite)
     for name in ("tasks", "algorithms", "seeds"):
         wanted, known = getattr(options, name), getattr(suite, name)
@@ -63,7 +63,7 @@ def run(argv: Sequence[str]) -> int:
     chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
     out = options.out or f"bench/{suite.name}"
     part = suite.only(**chosen)
-    signum = run_suite(suite, out, Console(highlight=False), part=part, devices=options.devices)
+    signum = run_suite(suite, out, Console(highlight=False), part=part, devices=options.devices, imports=modules)
     return 128 + signum if signum else int(any_failed(suite, part, out))
 
 

@@ -42,6 +42,9 @@ COMMANDS = {
 }
 """Modules of the commands by name."""
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_WRONG_PATH = (
+    errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENAMETOOLONG
+)  # fmt: skip
 _CLEAN_EXIT, _CANNOT_GO_ON, _BAD_INPUT = 0, 1, 2
 
 
@@ -70,11 +73,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of the output has ended, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
-    except (FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-        path = error.filename2 or error.filename  # the second one is that which a file was to be renamed to
-        print(f"error: {path} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
-        return _BAD_INPUT
     except OSError as error:
+        path = error.filename2 or error.filename  # the second one is that which a file was to be renamed to
+        if path and error.errno in _WRONG_PATH:
+            print(f"error: {path} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
+            return _BAD_INPUT
         if error.errno in _NO_SPACE:
             what = error.filename or "a file"
             print(f"error: {what} cannot be written ({error.strerror}): free some space", file=sys.stderr)

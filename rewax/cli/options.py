@@ -48,7 +48,11 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
             raise
         problem = _first_paragraph(output.getvalue())
         needed = re.match(r"Missing from .*?(--[\w.-]+)", problem)
-        problem = f"{prog} needs the option {needed[1]}" if needed else _readable(problem)
+        word = re.match(r"Missing from .*?: \w+ +(.*?)\.? \(required\)", problem)
+        if needed or word:
+            problem = f"{prog} needs the option {needed[1]}" if needed else f"{prog} needs one word more: {word[1]}"
+        else:
+            problem = _readable(problem)
         raise ValueError(f"{problem}; {prog} --help lists the options") from None
     if unknown:
         name = unknown[0].split("=")[0]

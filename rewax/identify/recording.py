@@ -12,6 +12,7 @@ import numpy as np
 from rewax.envs.registry import recipe
 from rewax.identify.records import Record, camera_numbers, cloud_of_depth
 from rewax.identify.simulate import points_of, without_reset_noise
+from rewax.physics.numerics.checks import NOT_NEGATIVE, check_number
 from rewax.physics.rigid import RigidModel, body_name
 from rewax.sensors import Camera, DepthNoise
 from rewax.status import FATAL, describe
@@ -128,8 +129,11 @@ def _robot(env: Any) -> list[str]:
 
 
 def _check_options(occlusion: float, noise: float, every: int) -> None:
-    if not 0.0 <= occlusion < 1.0 or noise < 0.0 or every < 1:
-        raise ValueError(f"occlusion is {occlusion}, noise {noise}, every {every}: give [0, 1), at least 0, at least 1")
+    if not 0.0 <= occlusion < 1.0:
+        raise ValueError(f"occlusion is {occlusion}: give a share of at least 0 and below 1")
+    check_number("noise", noise, NOT_NEGATIVE, "give a standard deviation in metres")
+    if every < 1:
+        raise ValueError(f"every is {every}: give 1 for every step, 2 for every second one")
 
 
 def camera_for(points: np.ndarray, up: np.ndarray, *, pixels: int = 64) -> Camera:

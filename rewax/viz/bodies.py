@@ -55,7 +55,7 @@ def body_strip(
         panels = figure.subplots(1, len(frames), squeeze=False, sharey=True)[0]
         for i, (axes, shapes) in enumerate(zip(panels, frames, strict=True)):
             axes.set(xlim=(middle[i] - half_width, middle[i] + half_width), ylim=(low, high), aspect="equal")
-            axes.locator_params(axis="x", nbins=4)
+            axes.locator_params(axis="x", nbins=4 if scale * half_width > 0.75 else 2)
             _draw(axes, shapes, view, np.array([middle[i], 0.5 * (low + high)]), half_width + high - low)
             axes.set_xlabel(f"{_name(view.right)} [m]")
             if i < len(labels):

@@ -1,5 +1,6 @@
 """Commands by name: help, wrong commands, and an environment of one's own from training to evaluation."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -42,6 +43,7 @@ def test_without_a_command_the_help_names_all(capsys):
     ("argv", "sentence"),
     [
         (["trian"], "there is no command 'trian': did you mean 'train'? use one of train, eval, bench, tune, play, plot, record, identify, export, landscape, envs, check, doctor, completion, or --help"),
+        (["completion"], "rewax completion needs one word more: bash or zsh; rewax completion --help lists the options"),
         (["eval"], "rewax eval needs one run directory or task: rewax eval HandFlip"),
         (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: give an integer of at least 1"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
@@ -126,10 +128,11 @@ def test_the_examples_are_these_commands(tmp_path):
         assert f"rewax {words[0]}" in done.stdout and words[1] in done.stdout
 
 
-def test_a_file_that_a_directory_keeps_from_its_place_is_named(monkeypatch, capsys):
+@pytest.mark.parametrize("code", [errno.EISDIR, errno.EROFS, errno.ENOENT, errno.EACCES])
+def test_a_file_that_cannot_be_written_is_named(monkeypatch, capsys, code):
     def write(argv):
-        raise IsADirectoryError(21, "Is a directory", ".writing-a.json", None, "a.json")
+        raise OSError(code, os.strerror(code), ".writing-a.json", None, "a.json")
 
     monkeypatch.setattr("rewax.cli.main._run", write)
     assert main(["eval"]) == 2
-    assert capsys.readouterr().err == "error: a.json cannot be written or read (Is a directory): choose another\n"
+    assert capsys.readouterr().err == f"error: a.json cannot be written or read ({os.strerror(code)}): choose another\n"

@@ -35,6 +35,8 @@ def check_color_by(env: Any, color_by: str) -> None:
     """
     env = _bare(env)
     if not hasattr(env, "particles"):
+        if color_by != "material":
+            raise ValueError(f"color_by is {color_by!r}, but the environment has no particles: leave it out")
         return
     values: tuple[str, ...] = ()
     if hasattr(env, "particle_values"):

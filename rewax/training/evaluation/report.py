@@ -15,6 +15,7 @@ from rewax.training.evaluation.programs import MODES, Programs
 from rewax.training.evaluation.recording import can_record
 from rewax.training.storage.metrics import CsvWriter, read_csv
 from rewax.types import Key
+from rewax.whole_files import replacing
 
 _STATISTICS = ("mean", "std", "min", "max", "failed", *(f"status/{bit.name}" for bit in Status if bit))
 
@@ -76,7 +77,8 @@ class Evaluator:
             result = self._programs.evaluate(train_state, name, self._key)
             count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
             returns[name + count] = float(result["mean"])
-        path.write_text(json.dumps(returns, indent=2) + "\n")
+        with replacing(path) as unfinished:
+            unfinished.write_text(json.dumps(returns, indent=2) + "\n")
         return returns
 
     def sentences(self, row: Mapping[str, Any]) -> list[str]:

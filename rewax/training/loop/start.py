@@ -44,7 +44,7 @@ def first_state(
 
     Raises:
       ValueError: the directory holds a run and ``config.resume`` is off, or a run that this configuration cannot
-        resume; or ``config.init_from`` does not fit.
+        resume; or ``config.init_from`` does not fit, or is not that of the run that is resumed.
     """
     if not config.resume:
         metrics = run_dir / "metrics.csv"
@@ -59,6 +59,10 @@ def first_state(
         say(console, f"beginning with what {config.init_from} has learnt")
         return warm_started(fresh, config.init_from, agent.name)
     stored, wanted = read_config(run_dir), plain(description)
+    began = first_run(stored)
+    if config.init_from not in ("", began):
+        how = f"with what {began} has learnt" if began else "with fresh networks"
+        raise ValueError(f"{run_dir} holds a run that began {how}: resume it without --init-from (init_from)")
     if _identified(stored) != _identified(wanted):
         raise ValueError(
             f"{run_dir} holds a run with other identified parameters: give the environment of its start, on the "
@@ -94,6 +98,12 @@ def first_state(
         )
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def first_run(config: Mapping[str, Any]) -> str:
+    """Directory of the run whose networks a run began with, as its ``config.json`` says; empty if there was none."""
+    options = config.get("train")
+    return str(options.get("init_from", "")) if isinstance(options, Mapping) else ""
 
 
 def _other_versions(stored: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:

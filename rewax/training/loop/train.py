@@ -1,6 +1,7 @@
 """The training function: start or resume a run, iterate, finish."""
 
 import contextlib
+import dataclasses
 import functools
 import importlib
 import threading
@@ -22,7 +23,7 @@ from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import RESUMED, Run, TrainResult
-from rewax.training.loop.start import first_state
+from rewax.training.loop.start import first_run, first_state
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
     append_lowering,
@@ -192,6 +193,8 @@ def prepared(
         stored = read_config(run_dir) if config.resume else {}
         schedule = continued(stored, int(train_state.iteration), config)
         kept = {name: value for name, value in stored.items() if name not in _ANEW}
+        if config.resume:  # what the run began with stays
+            description["train"] = dataclasses.replace(config, init_from=first_run(stored))
         write_config(run_dir, {**kept, **description, "schedule": schedule})
         write_environment(run_dir)
         key = _evaluation_key(config)

@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -68,7 +68,13 @@ def in_turn(suite: Suite) -> list[Cell]:
 
 
 def run_suite(
-    suite: Suite, out_dir: str | Path, console: Console, *, part: Suite | None = None, devices: int = 0
+    suite: Suite,
+    out_dir: str | Path,
+    console: Console,
+    *,
+    part: Suite | None = None,
+    devices: int = 0,
+    imports: Sequence[Mapping[str, str]] = (),
 ) -> int:
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
@@ -82,6 +88,7 @@ def run_suite(
       console: to print to.
       part: the runs to do; by default the whole suite.
       devices: number of devices that environments are sharded over, see ``TrainConfig``.
+      imports: the modules that register environments or algorithms, as ``import_modules`` returns them.
 
     Returns:
       The signal that stopped it, 0 if all runs are done.
@@ -105,7 +112,7 @@ def run_suite(
                 continue
             say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
             try:
-                signum = _run(suite, cell, env_of(cell.task), out_dir, console, devices)
+                signum = _run(suite, cell, env_of(cell.task), out_dir, console, devices, imports)
             except InUse:  # benchmarks side by side
                 say(console, "another process does this run: skipped")
                 continue
@@ -169,7 +176,15 @@ def read_result(folder: Path) -> dict[str, Any]:
     return result if whole else {}
 
 
-def _run(suite: Suite, cell: Cell, env: Env, out_dir: Path, console: Console, devices: int) -> int:
+def _run(
+    suite: Suite,
+    cell: Cell,
+    env: Env,
+    out_dir: Path,
+    console: Console,
+    devices: int,
+    imports: Sequence[Mapping[str, str]],
+) -> int:
     """Do one run, from its newest checkpoint if it has one; returns the signal that stopped it."""
     folder = cell.folder(out_dir)
     config = suite.config(cell.task, cell.algorithm)
@@ -204,7 +219,7 @@ def _run(suite: Suite, cell: Cell, env: Env, out_dir: Path, console: Console, de
         "seed": cell.seed,
         "agent": cell.algorithm,
         cell.algorithm: config,
-    }
+    } | ({"imports": list(imports)} if imports else {})
     row: dict[str, Any] = {
         **dict.fromkeys(COLUMNS, 0),
         **cell._asdict(),
@@ -267,9 +282,8 @@ def _baselines(suite: Suite, task: str, out_dir: Path) -> None:
         name: float(_mean_return(env, policy, suite.num_eval_episodes))
         for name, policy in zip(BASELINES, policies, strict=True)
     }
-    path = _baselines_path(out_dir, task)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(returns, indent=1) + "\n")
+    with replacing(_baselines_path(out_dir, task)) as unfinished:
+        unfinished.write_text(json.dumps(returns, indent=1) + "\n")
 
 
 def _mean_return(env: Any, policy: Any, num_episodes: int) -> Any:

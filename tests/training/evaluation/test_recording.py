@@ -99,6 +99,9 @@ def test_particles_are_coloured_by_the_names_that_pictures_have(monkeypatch):
         check_color_by(toys.point_mass(), name)
     with pytest.raises(ValueError, match=r"use one of material, height, height \(recorded\), mass"):
         check_color_by(toys.point_mass(), "smell")
+    check_color_by(object(), "material")
+    with pytest.raises(ValueError, match=r"^color_by is 'mass', but the environment has no particles: leave it out"):
+        check_color_by(object(), "mass")
 
 
 def test_a_misspelt_appearance_is_a_sentence(monkeypatch):

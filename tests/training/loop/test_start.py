@@ -46,6 +46,13 @@ def test_a_directory_with_a_run_is_refused(tmp_path):
         run(tmp_path / "nowhere", resume=True)
 
 
+def test_a_resumed_run_did_not_begin_with_another_one(tmp_path):
+    run(tmp_path)
+    with pytest.raises(ValueError, match=r"holds a run that began with fresh networks: resume it without --init-from"):
+        run(tmp_path, resume=True, init_from=str(tmp_path))
+    assert json.loads((tmp_path / "config.json").read_text())["train"]["init_from"] == ""
+
+
 def test_strays_are_no_run(tmp_path):
     (tmp_path / "checkpoints" / "9").mkdir(parents=True)
     (tmp_path / "checkpoints" / ".DS_Store").write_text("x")

@@ -77,6 +77,14 @@ def test_the_command_begins_with_the_old_run_and_goes_on_from_there(old, toy, tm
     assert main([*argv, f"--init-from={old}"]) == 0
     assert f"beginning with what {old} has learnt" in capsys.readouterr().out
     assert checkpoint.latest_step(tmp_path / "new") == 1
+    origin = lambda: json.loads((tmp_path / "new" / "config.json").read_text())["train"]["init_from"]  # noqa: E731
+    assert origin() == str(old)
+    assert main([*argv, "--resume"]) == 0 and origin() == str(old)
+    assert main([*argv, "--resume", f"--init-from={old}"]) == 0 and origin() == str(old)
+    assert main([*argv, "--resume", "--init-from=other"]) == 2 and origin() == str(old)
+    assert (
+        f"holds a run that began with what {old} has learnt: resume it without --init-from" in capsys.readouterr().err
+    )
 
 
 def test_neither_algorithm_nor_environment_has_to_be_registered(old, tmp_path):

@@ -313,6 +313,14 @@ def test_the_seeds_share_environment_and_programs(suite, tmp_path, monkeypatch):
     assert shared == [False, True] and envs[0] is envs[1]
 
 
+def test_runs_remember_the_modules_that_register_what_they_need(suite, tmp_path):
+    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
+    modules = [{"name": "mine", "folder": "there"}]
+    assert run_suite(part, tmp_path, Console(quiet=True), imports=modules) == 0
+    config = Cell("PointMass", "calm", 0).folder(tmp_path) / "config.json"
+    assert json.loads(config.read_text())["imports"] == modules
+
+
 def test_an_algorithm_with_shorter_iterations_gets_as_many_steps_as_the_others(suite, tmp_path, monkeypatch):
     known = agents._ALGORITHMS["calm"]()
 
