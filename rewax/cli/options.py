@@ -49,8 +49,10 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
         problem = _first_paragraph(output.getvalue())
         needed = re.match(r"Missing from .*?(--[\w.-]+)", problem)
         word = re.match(r"Missing from .*?: \w+ +(.*?)\.? \(required\)", problem)
-        if needed or word:
-            problem = f"{prog} needs the option {needed[1]}" if needed else f"{prog} needs one word more: {word[1]}"
+        if needed:
+            problem = f"{prog} needs the option {needed[1]}"
+        elif word:
+            problem = f"{prog} needs one word more: {word[1]}"
         else:
             problem = _readable(problem)
         raise ValueError(f"{problem}; {prog} --help lists the options") from None

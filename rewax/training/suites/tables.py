@@ -232,7 +232,7 @@ def _curves_csv(curves: Mapping[Run, Curve]) -> str:
 
 
 def _read_curves(path: Path) -> dict[Run, Curve]:
-    kinds = dict(zip(_CURVE_COLUMNS, (str, str, int, float, float), strict=True))
+    kinds: dict[str, type] = dict(zip(_CURVE_COLUMNS, (str, str, int, float, float), strict=True))
     points: dict[Run, list[tuple[float, float]]] = {}
     for row in _read_table(path, kinds, _CURVE_COLUMNS):
         points.setdefault(_run(row), []).append((row["env_steps"], row["return"]))
