@@ -52,6 +52,7 @@ def run(argv: Sequence[str]) -> int:
     from rewax.testing import check_agent, check_env, where_it_runs
     from rewax.testing.env import GRADIENT_TOLERANCE
     from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.modules import user_error
 
     quiet()
     options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
@@ -76,6 +77,12 @@ def run(argv: Sequence[str]) -> int:
         check_env(env, seed=options.seed, check_full_episode=options.whole_episode, gradient_tolerance=tolerance)
     except AssertionError as problem:
         print(f"problem: {problem}", file=sys.stderr)
+        return _PROBLEM_FOUND
+    except Exception as error:
+        known_error = user_error(error, f"the check of {options.algo or options.env}")
+        if " failed at " not in str(known_error):  # not in a user's code
+            raise
+        print(f"problem: {known_error}", file=sys.stderr)
         return _PROBLEM_FOUND
     left = [decision for decision in where_it_runs(env) if decision.reason] if options.in_cpp else []
     for decision in left:

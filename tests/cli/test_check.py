@@ -20,12 +20,21 @@ class Forgetful(toys.PointMass):
         return self.after(state, state.physics + 0.0 * action)
 
 
+@struct.dataclass
+class Broken(toys.PointMass):
+    """Its step raises an exception."""
+
+    def step(self, state, action):
+        return self.after(state, state.physics + jnp.zeros(3) @ action)
+
+
 @pytest.fixture
 def registered():
+    registry._FACTORIES["Broken"] = lambda scale: Broken(gain=jnp.float32(0.5))
     registry._FACTORIES["Point"] = lambda scale: toys.point_mass()
     registry._FACTORIES["Forgetful"] = lambda scale: Forgetful(gain=jnp.float32(0.5))
     yield
-    del registry._FACTORIES["Point"], registry._FACTORIES["Forgetful"]
+    del registry._FACTORIES["Broken"], registry._FACTORIES["Point"], registry._FACTORIES["Forgetful"]
 
 
 def test_one_that_keeps_the_protocol(registered, capsys):
@@ -36,6 +45,13 @@ def test_one_that_keeps_the_protocol(registered, capsys):
 def test_one_that_does_not(registered, capsys):
     assert main(["check", "--env", "Forgetful", "--no-whole-episode"]) == 1
     assert "problem: " in (said := capsys.readouterr().err) and "gradient" in said
+
+
+def test_an_exception_of_the_environment_is_a_sentence_with_its_line(registered, capsys):
+    assert main(["check", "--env", "Broken"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("problem: the check of Broken failed at ") and said.count("\n") == 1
+    assert "test_check.py:" in said and "jnp.zeros(3) @ action" in said and "TypeError" in said
 
 
 def make_absent(env, config):
