@@ -96,7 +96,7 @@ class _Builder(Operations):
         for v, value in zip(jaxpr.constvars, consts, strict=True):
             values[v] = self.literal(np.asarray(value, plain_type(v.aval.dtype)))
         values |= zip(jaxpr.invars, args, strict=True)
-        for eqn in jaxpr.eqns:
+        for eqn in _live(jaxpr):
             outs = self.equation(eqn, [read(v) for v in eqn.invars])
             for v, out in zip(eqn.outvars, outs, strict=True):
                 if out.shape != v.aval.shape:
@@ -106,8 +106,6 @@ class _Builder(Operations):
 
     def equation(self, eqn: Any, args: list[Values]) -> list[Values]:
         name, params = eqn.primitive.name, eqn.params
-        if not eqn.outvars and not eqn.effects:
-            return []  # differentiation leaves such equations behind
         if not eqn.outvars:
             raise UnsupportedError(f"it has the operation {name} without a result")
         if eqn.primitive is linear_call_p:
@@ -211,6 +209,16 @@ class _Builder(Operations):
         lengths, solve = params["const_lengths"], params["jaxprs"].solve
         first = lengths.matvec + lengths.vecmat
         return self.run(solve.jaxpr, solve.consts, [*args[first : first + lengths.solve], *args[sum(lengths) :]])
+
+
+def _live(jaxpr: Any) -> list[Any]:
+    """The equations that the results need, and those with effects. Others may have unsupported operations."""
+    live, needed = [], {v for v in jaxpr.outvars if not hasattr(v, "val")}
+    for eqn in reversed(jaxpr.eqns):
+        if eqn.effects or not needed.isdisjoint(eqn.outvars):
+            live.append(eqn)
+            needed.update(v for v in eqn.invars if not hasattr(v, "val"))
+    return live[::-1]
 
 
 def known(name: str, params: dict[str, Any], parameters: set[str] | frozenset[str]) -> None:

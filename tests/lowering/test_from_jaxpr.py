@@ -1,5 +1,7 @@
 """Programs as lists of operations: each once, in order, and nothing but arithmetic."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import pytest
@@ -45,6 +47,20 @@ def chosen(a):
 def without_result(a):
     jax.jit(lambda b: ())(a)
     return 2.0 * a
+
+
+def partly_unused(a, b):
+    order = jnp.argsort(a)
+    _ = a[order], jnp.linalg.eigh(jnp.outer(a, b))
+    return jax.jit(lambda a: a + b)(a)
+
+
+def test_what_no_result_needs_is_left_out():
+    """Unsupported operations, too, and what would be added to the program for them."""
+    program = jax.make_jaxpr(partly_unused)(jnp.ones(3), jnp.ones(3))
+    assert {"sort", "eigh"} <= set(re.findall(r"\w+", str(program)))
+    assert [o.name for o in from_jaxpr(program, [True, True]).operations].count("add") == 3
+    assert_equal_to_jax(partly_unused, 0)
 
 
 def test_what_has_no_result_and_no_effect_is_nothing():

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering.structural import structural_zeros
-from rewax.physics.numerics.clipping import clipped
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import (
     matrix_to_quaternion,
@@ -17,6 +16,7 @@ from rewax.physics.numerics.rotations import (
     quaternion_to_matrix,
     rotation_vector,
 )
+from rewax.physics.rigid.actuation import ON_JOINT, actuated, actuator_damping
 from rewax.physics.rigid.box_box import box_box
 from rewax.physics.rigid.capsules import capsule_capsule
 from rewax.physics.rigid.collide import collide
@@ -27,7 +27,6 @@ from rewax.physics.rigid.kinematics import kinematics as tree_kinematics
 from rewax.physics.rigid.mjcf import is_disabled
 from rewax.physics.rigid.mjx_access import (
     actuator_moments,
-    actuator_velocities,
     constraint_arrays,
     mjx,
     mujoco,
@@ -49,8 +48,6 @@ LEAST_FRICTION = 1e-2
 
 With a coefficient mu, MuJoCo makes the rows of a contact 1 / mu^2 times as stiff, and 1e10 times the mass is beyond
 float32. The force of friction still has mu."""
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-"""Transmissions of actuators that act on one joint."""
 
 
 def kinematics(model: RigidModel, qpos: Array) -> Kinematics:
@@ -118,7 +115,7 @@ def applied_forces(
     topology = model.static.topology
     twist = body_velocities(topology, kin, d.qvel)
     springless = m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness))
-    d = _actuated(model, m, mjx.passive(springless, _drives(model, m, d.replace(cvel=twist))))
+    d = actuated(model, m, mjx.passive(springless, _drives(model, m, d.replace(cvel=twist))))
     arm = kin.com - kin.tree_com
     torque = wrenches[:, 3:] + cross(arm, wrenches[:, :3])
     external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
@@ -146,37 +143,15 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     Gradient: exact.
     """
     d = _drives(model, m, d)
-
-    def pull(velocity: Array) -> Array:
-        return _actuated(model, m, with_actuator_velocities(d, velocity)).actuator_force
-
-    damping, mj = jnp.zeros((model.num_dofs, model.num_dofs), d.qvel.dtype), model.static.mj
-    if model.static.mj.nu and not is_disabled(model.static.mj, "ACTUATION"):
-        moment, velocity = actuator_moments(d), actuator_velocities(d)
-        # Each force depends on its own velocity.
-        force, slope = jax.jvp(pull, (velocity,), (jnp.ones_like(velocity),))
-        if np.any(mj.jnt_actfrclimited):
-            total, (low, high) = dot(moment.T, force), mj.jnt_actfrcrange[mj.dof_jntid].T
-            clamped = (mj.jnt_actfrclimited[mj.dof_jntid] != 0) & ((total <= low) | (total >= high))
-            own = np.isin(mj.actuator_trntype, _ON_JOINT)
-            moment = jnp.where(clamped & own[:, None], 0.0, moment)
-        damping -= dot(moment.T, slope[:, None] * moment)
-    if model.static.mj.ntendon:
+    mj = model.static.mj
+    damping = jnp.zeros((model.num_dofs, model.num_dofs), d.qvel.dtype)
+    if mj.nu and not is_disabled(mj, "ACTUATION"):
+        damping += actuator_damping(model, m, d)
+    if mj.ntendon:
         jacobian = tendon_jacobian(d)
         damping += dot(jacobian.T, m.tendon_damping[:, None] * jacobian)
     carries = model.static.topology.moves[mj.dof_bodyid]
     return jnp.diag(model.parameters["dof_damping"]) + np.maximum(carries, carries.T).astype(damping.dtype) * damping
-
-
-def _actuated(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
-    """``mjx.fwd_actuation`` with the derivative of the inside for controls at their limits, where MJX's has half."""
-    mj = model.static.mj
-    if not np.any(mj.actuator_ctrllimited) or is_disabled(mj, "CLAMPCTRL"):
-        return mjx.fwd_actuation(m, d)
-    low, high = m.actuator_ctrlrange.T
-    ctrl = jnp.where(mj.actuator_ctrllimited != 0, clipped(d.ctrl, low, high), d.ctrl)
-    unclamped = m.opt.disableflags | int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    return mjx.fwd_actuation(m.replace(opt=m.opt.replace(disableflags=unclamped)), d.replace(ctrl=ctrl))
 
 
 def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
@@ -213,7 +188,7 @@ def _spring_forces(model: RigidModel, qpos: Array) -> Array:
 def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     """Lengths of the actuators, shape (num_actuators,). MJX's lack a derivative for ball joints."""
     mj = model.static.mj
-    on_joint = np.isin(mj.actuator_trntype, _ON_JOINT)
+    on_joint = np.isin(mj.actuator_trntype, ON_JOINT)
     joint = np.where(on_joint, mj.actuator_trnid[:, 0], 0)
     own = np.flatnonzero(on_joint & (mj.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL)))
     if len(own) == 0:

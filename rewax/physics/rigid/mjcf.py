@@ -198,11 +198,6 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
 
-    if np.any(limited := mj.tendon_actfrclimited != 0):
-        raise ValueError(
-            f"{named(mj, 'tendon', limited)} has an actuatorfrcrange, with which the gradient is not finite at zero "
-            "force: give its actuators a forcerange"
-        )
     turning = (mj.actuator_trnid[:, 1] >= 0) & np.any(mj.actuator_gear[:, 3:] != 0, axis=1)
     turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
     if np.any(turning):

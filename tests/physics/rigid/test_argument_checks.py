@@ -62,7 +62,6 @@ MODELS = {
     "side site": (mjcf(ARM + WRAPPED, more='<tendon><spatial><site site="a"/><geom geom="w" sidesite="b"/><site site="c"/></spatial></tendon>'), "a tendon wraps geom 'w', a cylinder, with a sidesite, where MJX takes another path than MuJoCo: remove the sidesite"),
     "inner side site": (mjcf(ARM + BALL, more=AROUND.format("b")), INSIDE),
     "foreign side site": (mjcf(ARM.replace("/></body>", '/><site name="d"/></body>', 1) + BALL, more=AROUND.format("d")), INSIDE),
-    "tendon force": (mjcf(more='<tendon><fixed name="t" actuatorfrcrange="-1 1"><joint joint="x" coef="1"/></fixed></tendon>'), "tendon 't' has an actuatorfrcrange, with which the gradient is not finite at zero force: give its actuators a forcerange"),
     "impedance": (mjcf(ARM.replace('name="x"', 'name="x" range="-1 1" limited="true" solimplimit=".1 .9 .01 .5 1.5"')), "joint 'x' has a solimp with the power 1.5, with which the gradient is not finite: give 1, 2 or another integer"),
     "limit": (mjcf(more='<custom><numeric name="max_geom_pairs" data="2.5"/></custom>'), "the model's max_geom_pairs is 2.5: give an integer, at least 0, or -1 for no limit"),
     "size": (mjcf(ARM.replace('".1"', '"-.1"')), "the model cannot be read: size 0 must be positive in geom (element name 'bob', id 0, line 1): correct the MJCF"),

@@ -18,10 +18,12 @@ FUNCTIONS = (
 OF_THE_MODEL = (
     *rigid.PARAMETERS, "opt", "site_pos", "site_quat", "eq_data", "npair", "pair_geom1", "pair_geom2", "pair_dim",
     "pair_solreffriction", "geom_contype", "geom_conaffinity", "geom_rbound", "numeric_data",
+    "actuator_forcelimited", "tendon_actfrclimited", "tendon_actfrcrange", "jnt_actfrclimited", "jnt_actfrcrange",
 )  # fmt: skip
 READ_AND_WRITTEN = (
     "qpos", "qvel", "act", "ctrl", "xpos", "xmat", "xipos", "ximat", "subtree_com", "cdof", "cvel", "geom_xpos", "geom_xmat",
-    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "act_dot", "actuator_length", "eq_active",
+    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "qfrc_gravcomp", "act_dot", "actuator_length",
+    "actuator_force", "eq_active",
 )  # fmt: skip
 OF_THE_IMPLEMENTATION = (
     "ne", "nf", "ncon", "contact", "actuator_moment", "actuator_velocity", "ten_J", "ten_velocity", "efc_J", "efc_D",

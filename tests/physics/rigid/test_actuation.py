@@ -1,0 +1,110 @@
+"""Forces of actuators at limits of controls, actuators, tendons and joints: values are MuJoCo's, slopes those of the inside."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from rewax.lowering.report import LoweringWarning
+from rewax.physics import rigid
+from rewax.physics.rigid import forces as rigid_forces
+from rewax.xla_options import unoptimised
+
+PULLED = """<mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody><body>
+    <joint name="a" type="slide" axis="1 0 0" damping=".1"/><geom size=".1" mass="1"/>
+    <body pos="0 1 0"><joint name="b" type="slide" axis="0 1 0" actuatorfrcrange="-.7 .7"/><geom size=".1" mass="2"/></body>
+  </body></worldbody>
+  <tendon><fixed name="t" actuatorfrcrange="-1 1.5"><joint joint="a" coef="1"/><joint joint="b" coef=".5"/></fixed></tendon>
+  <actuator><motor tendon="t" gear="2"/><velocity tendon="t" kv="3"/><motor joint="a" forcerange="-2 2"/>
+    <position joint="b" kp="4" kv="1" forcerange="-.6 .6"/><motor joint="b" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+</mujoco>"""
+INSIDE = np.array([0.1, 0.1, 0.5, 0.1, 0.1])
+CONTROLS = {
+    "inside": INSIDE,
+    "tendon above": [0.9, 0.5, 0.5, 0.1, 0.0],
+    "tendon below": [-0.5, -0.4, 0.5, -0.1, 0.0],
+    "actuators": [0.1, 0.1, -3.0, 2.0, -5.0],
+    "joint": [0.3, 0.1, 1.0, 0.2, 1.0],
+}
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    with jax.enable_x64(True):
+        return mujoco.MjModel.from_xml_string(PULLED), rigid.load(PULLED)
+
+
+def forces(model, ctrl, qvel):
+    """Forces on the degrees of freedom but the joints' dampers."""
+    state = rigid.initial_state(model, [0.05, -0.1], qvel)
+    kin = rigid_forces.kinematics(model, state.qpos)
+    m, d = rigid_forces.mjx_data(model, kin, state, ctrl)
+    force, _ = rigid_forces.applied_forces(model, kin, m, d, jnp.zeros((model.num_bodies, 6)))
+    return force + jnp.array([0.1, 0.0]) * qvel
+
+
+@pytest.mark.parametrize("qvel", ([0.0, 0.0], [0.4, -0.3]), ids=("at rest", "moving"))
+def test_limited_forces_are_mujocos(x64, pulled, qvel):
+    mj, model = pulled
+    data = mujoco.MjData(mj)
+    at = jax.jit(lambda ctrl: forces(model, ctrl, jnp.asarray(qvel)), compiler_options=unoptimised())
+    for name, ctrl in CONTROLS.items():
+        data.qpos[:], data.qvel[:], data.ctrl[:] = [0.05, -0.1], qvel, ctrl
+        mujoco.mj_forward(mj, data)
+        np.testing.assert_allclose(at(jnp.asarray(ctrl)), data.qfrc_actuator, atol=1e-12, err_msg=name)
+
+
+def test_a_step_has_the_damping_of_mujoco_at_limits(x64, pulled):
+    """``implicitfast`` leaves out actuators at the limits of their tendons and joints and at their own."""
+    mj, model = pulled
+    step = jax.jit(lambda state, ctrl: rigid.step(model, state, ctrl), compiler_options=unoptimised())
+    for name, ctrl in CONTROLS.items():
+        data = mujoco.MjData(mj)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = [0.05, -0.1], [0.4, -0.3], ctrl
+        mujoco.mj_step(mj, data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", LoweringWarning)  # MJX sorts a tendon's wraps, which nothing here needs
+            new = step(rigid.initial_state(model, [0.05, -0.1], [0.4, -0.3]), jnp.asarray(ctrl))
+        np.testing.assert_allclose(new.qvel, data.qvel, atol=1e-12, err_msg=name)
+
+
+def slopes(model, ctrl, qvel):
+    """By controls, in reverse and forward: arrays of shape (num_dofs, num_actuators)."""
+
+    def at(x):
+        return forces(model, x, jnp.asarray(qvel))
+
+    return [jax.jit(j(at), compiler_options=unoptimised())(jnp.asarray(ctrl)) for j in (jax.jacrev, jax.jacfwd)]
+
+
+def test_slopes_at_zero_force_of_a_limited_tendon(x64, pulled):
+    """MJX divides the limit by this force, and its gradient is NaN."""
+    moments = np.array([[1.0, 0.5], [1.0, 0.5], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    gains = np.array([2.0, 3.0, 1.0, 4.0, 1.0])  # the gear of a motor is in its moment
+    for slope in slopes(pulled[1], np.zeros(5), [0.0, 0.0]):
+        np.testing.assert_allclose(slope, (gains[:, None] * moments).T, atol=1e-12)
+
+
+def test_slopes_at_a_limit_are_those_of_the_inside(x64, pulled):
+    """MJX's are half of them."""
+    _, model = pulled
+    at_limits = np.array(
+        [0.0, 0.5, 2.0, 0.05, 0.0]
+    )  # the tendon pulls with 1.5, the motor with 2, the joint turns with .6
+    for slope in slopes(model, at_limits, [0.0, 0.0]):
+        assert slope[0, 1] == 3.0 and slope[0, 2] == 1.0
+
+
+def test_slopes_beyond_limits(x64, pulled):
+    """Central differences; zero for an actuator beyond its range, not for those that share a limited tendon."""
+    _, model = pulled
+    for name in ("tendon above", "tendon below", "actuators"):
+        ctrl = np.asarray(CONTROLS[name])
+        at = jax.jit(lambda x: forces(model, x, jnp.array([0.4, -0.3])), compiler_options=unoptimised())
+        steps = 1e-6 * np.eye(5)
+        expected = np.stack([(at(ctrl + s) - at(ctrl - s)) / 2e-6 for s in steps], axis=1)
+        for slope in slopes(model, ctrl, [0.4, -0.3]):
+            np.testing.assert_allclose(slope, expected, atol=1e-8, err_msg=name)
