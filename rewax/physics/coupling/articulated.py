@@ -7,6 +7,8 @@ a light finger in heavy dough is stable at the soft body's own substep, for any 
 
 The model's own forces (gravity, actuators, springs, contacts and limits) are evaluated once per rigid substep. A rigid
 substep may last several substeps of the soft body; each of them updates mass matrix, poses and exchange of momentum.
+The own forces act as one impulse in the first of them. Spread over all, they would add energy to springs and servos:
+without contact, the robot moves as in ``rigid.step``.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -22,13 +24,23 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.patches import accumulated, check_patches, felt, no_touch
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
-from rewax.physics.coupling.soft import Scene, Soft, prescribed_of, scan_soft, solver_of, touched_bodies
+from rewax.physics.coupling.soft import (
+    SCENE,
+    Scene,
+    Soft,
+    check_state,
+    prescribed_of,
+    scan_soft,
+    solver_of,
+    touched_bodies,
+)
 from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid import RigidModel, RigidState
 from rewax.physics.rigid.forces import kinematics, tree_parameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces, integrate
+from rewax.physics.rigid.model import check_state as check_robot
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 from rewax.physics.rigid.stepping import checked_inputs, rates
 from rewax.physics.rigid.touch import felt_contacts
@@ -127,6 +139,9 @@ def _advanced(
     patches: Any,
     given: tuple[Array | None, Array | None],
 ) -> tuple[Soft, RigidState, Wrench, Any]:
+    SCENE("scene", scene)
+    check_state(scene, state)
+    check_robot(model, bodies)
     check_precision(state.x, scene.gravity, bodies.qpos)
     dtype = state.x.dtype
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
@@ -145,7 +160,8 @@ def _advanced(
             inner = inner._replace(felt=accumulated(inner.felt, contacts, model.dt))
 
         def substep(inner: _Carry, interval: tuple[Array, Prescribed], constants: Any) -> _Carry:
-            return _substep(scene, model, constants, rate, inner, patches, interval[1])
+            kick = jnp.where(interval[0] == 0, each * scene.dt, 0.0) * rate
+            return _substep(scene, model, constants, kick, inner, patches, interval[1])
 
         inner, seen = scan_soft(scene, constants, substep, inner, (jnp.arange(each), now), None)
         return (inner, {"act": after.act, "qacc": after.qacc, "unsolved": after.unsolved}), seen
@@ -175,16 +191,16 @@ def soft_substeps(scene: Scene, model: RigidModel) -> int:
 
 
 def _exchanging_substep(
-    scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry, patches: Any, prescribed: Prescribed
+    scene: Scene, model: RigidModel, constants: Any, kick: Array, carry: _Carry, patches: Any, prescribed: Prescribed
 ) -> _Carry:
-    """One soft substep; ``rate`` is the joints' acceleration by the robot's own forces."""
+    """One soft substep; ``kick`` is the change of the joints' velocities by the robot's own forces."""
     soft, qpos, before, received, touch = carry
     contact, dt = solver_of(scene).begin(scene, constants, soft, prescribed), scene.dt
 
     with jax.default_matmul_precision("highest"):
         kin = kinematics(model, qpos)
         inertia = mass_matrix(model.static.topology, tree_parameters(model), kin)
-        qvel = before + dt * rate
+        qvel = before + kick
         poses = Pose(kin.position, kin.rotation)
         contact = contact.meet(poses, _motions(model, kin, qvel), lambda: _motions(model, kin, before))
         change = _predicted_change(scene, model, contact, kin, inertia)

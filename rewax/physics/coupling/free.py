@@ -76,6 +76,7 @@ def step(
     Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
       ``colliders.apply_collider`` and ``penalty.penalty_force``).
     """
+    free_body.check_bodies(bodies)
     num_substeps, num_free = poses.position.shape[0] - 1, bodies.position.shape[0]
     num_bodies = num_free + poses.position.shape[1]
     _check(scene, inertia, num_free, num_bodies, wrench)

@@ -124,10 +124,27 @@ def check_status(inertia: Inertia, bodies: FreeBodies) -> Array:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
     inertia, bodies = jax.lax.stop_gradient((inertia, bodies))
-    lengths = _lengths(bodies.orientation)
-    lengths = lengths._replace(value=jnp.where(jnp.isfinite(lengths.value), lengths.value, 1.0))  # those set NAN
-    illegal = any_illegal([*_given_numbers(inertia), *_definite_numbers(inertia), lengths])
+    illegal = any_illegal([*_given_numbers(inertia), *_definite_numbers(inertia), _finite_lengths(bodies)])
     return flag(~all_finite(bodies), Status.NAN) | flag(illegal, Status.INVALID_PARAMETERS)
+
+
+def check_bodies(bodies: FreeBodies) -> None:
+    """Raises ValueError for arrays without a row for each body, and known orientations of another length than 1."""
+    num_bodies = len(bodies.position)
+    for name, width in (("position", 3), ("orientation", 4), ("velocity", 3), ("angular_velocity", 3)):
+        shape = jnp.shape(getattr(bodies, name))
+        if shape != (num_bodies, width):
+            raise ValueError(
+                f"bodies.{name} has shape {shape}: give shape ({num_bodies}, {width}), a row for each body (map "
+                "batches with jax.vmap)"
+            )
+    check_numbers([_finite_lengths(bodies)])
+
+
+def _finite_lengths(bodies: FreeBodies) -> Number:
+    """Lengths of the orientations, 1 for those that are not finite: they set ``NAN``."""
+    lengths = _lengths(bodies.orientation)
+    return lengths._replace(value=jnp.where(jnp.isfinite(lengths.value), lengths.value, 1.0))
 
 
 def _lengths(orientation: Array) -> Number:
@@ -207,16 +224,20 @@ def push(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: 
 def move(bodies: FreeBodies, inertia: Inertia, dt: Scalar) -> FreeBodies:
     """Bodies after a time dt [s] without forces, with constant linear and angular momentum. Gradient: exact.
 
-    The moments of inertia rotate with the body, so the angular velocity changes: I' w' = I w.
+    The moments of inertia rotate with the body, so the angular velocity changes: I' w' = I w. The turn has the angular
+    velocity after half of the time. With that at its beginning, a tumbling body would gain energy.
     """
-    moved = bodies.replace(
-        position=bodies.position + dt * bodies.velocity,
-        orientation=turn_quaternion(bodies.orientation, bodies.angular_velocity, dt),
-    )
-    moment = world_moment(moved, inertia)
+    half = _turned(bodies, inertia, bodies.angular_velocity, 0.5 * dt)
+    return _turned(bodies, inertia, half.angular_velocity, dt).replace(position=bodies.position + dt * bodies.velocity)
+
+
+def _turned(bodies: FreeBodies, inertia: Inertia, angular_velocity: Array, dt: Scalar) -> FreeBodies:
+    """Bodies after a turn by ``dt * angular_velocity`` that leaves their angular momentum as it is."""
+    turned = bodies.replace(orientation=turn_quaternion(bodies.orientation, angular_velocity, dt))
+    moment = world_moment(turned, inertia)
     # Solve for the change: the angular velocity of a body that hardly rotates keeps all its digits.
     lost = _matvec(world_moment(bodies, inertia) - moment, bodies.angular_velocity)
-    return moved.replace(angular_velocity=bodies.angular_velocity + solve3(moment, lost))
+    return turned.replace(angular_velocity=bodies.angular_velocity + solve3(moment, lost))
 
 
 def momentum(bodies: FreeBodies, inertia: Inertia) -> Array:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from flat_materials import flat_material
 
-from rewax.physics import coupling, mpm, rigid
+from rewax.physics import coupling, mpm, rigid, tets
 from rewax.physics.contact import WALLS, Patches
 from rewax.physics.coupling import articulated, free_body
 from rewax.physics.mpm import Grid, VonMises, Wall, WallKind, Walls, invariants
 from rewax.physics.shapes.sampling import fill_box
+from rewax.physics.tets import tetmesh
 from rewax.struct import replace_leaf
 
 SPACING = 0.02
@@ -162,6 +163,27 @@ def test_a_robots_substep_may_last_several_of_the_particles(x64):
     assert 0.2 < np.abs(ends[1] - ends[0]).max() / np.abs(ends[2] - ends[0]).max() < 0.6
 
 
+SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body>
+  <joint type="slide" axis="1 0 0" stiffness="100"/><geom type="sphere" size=".02" mass=".01"/>
+  <body pos=".1 0 0"><joint type="ball" stiffness=".1"/><geom type="box" size=".02 .03 .01" pos=".02 0 0" mass=".02"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("each", [1, 3])
+def test_a_robot_without_contact_moves_as_alone(x64, each):
+    """Also where its substep lasts several of the soft body's: its own forces do not add energy to a spring."""
+    mesh = tetmesh.box((0.1, 0.1, 0.1), (1, 1, 1), tets_per_cell=5)
+    robot = rigid.load(SPRING, dt=2e-3)
+    scene = tets.make_scene(
+        mesh=mesh, density=1000.0, mu=1e4, lam=2e4, dt=2e-3 / each, gravity=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    start = rigid.initial_state(robot, qpos=[0.01, 1.0, 0.0, 0.0, 0.0], qvel=[0.0, 2.0, 1.0, -3.0])
+    alone = jax.jit(rigid.step, static_argnames="num_substeps")(robot, start, num_substeps=200)
+    _, beside, _ = RUN(scene, robot, tets.initial_state(mesh.vertices + 5.0), start, num_substeps=200)
+    np.testing.assert_allclose(beside.qvel, alone.qvel, atol=1e-8)
+    np.testing.assert_allclose(beside.qpos[0], alone.qpos[0], atol=1e-10)
+
+
 def test_substeps_whose_constraints_do_not_balance_are_remembered(monkeypatch):
     """Those of this step alone, wherever in it they are."""
     model = model_of()
@@ -216,6 +238,24 @@ def test_gradients_are_those_of_differences(x64):
         found = sum(jnp.vdot(a, b) for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(along), strict=True))
         np.testing.assert_allclose(forward(point, along), found, rtol=1e-9)
         np.testing.assert_allclose((ahead - behind) / (2 * h), found, rtol=1e-5)
+
+
+def test_states_of_others_are_refused():
+    model = model_of()
+    scene, state = dough_under(model)
+    robot = thrown(model)
+    for given, sentence in (
+        ((scene, model, robot, state), "state is a RigidState, but scene a MPMScene: give a MPMState"),
+        ((scene, model, state, free_body.bodies_at_rest([[0.0, 0.0, 0.0]])), "state is .* give a state that rigid"),
+        ((scene, "x", state, robot), "model is 'x': give a model that rigid.load returned"),
+        ((model, scene, state, robot), "scene is .* give a scene of mpm.make_scene"),
+        (
+            (scene, model_of(FINGER.format(mass=0.1)), state, robot),
+            r"the state's qpos has shape \(7,\): give shape \(8,\)",
+        ),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            articulated.step(*given)
 
 
 def test_numbers_of_two_precisions_are_refused():

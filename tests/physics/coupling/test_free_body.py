@@ -64,6 +64,18 @@ def test_a_body_without_forces_keeps_its_angular_momentum(rotations, moments):
     assert np.linalg.norm(after.angular_velocity) > 0.5
 
 
+def test_a_tumbling_body_keeps_its_energy(x64):
+    """Five seconds at 20 rad/s around the unstable axis."""
+    inertia = free_body.inertia_of((Box(half_size=jnp.array([0.1, 0.05, 0.02])),), density=500.0)
+    bodies = free_body.bodies_at_rest([[0.0, 0.0, 0.0]]).replace(angular_velocity=jnp.array([[2.0, 20.0, 2.0]]))
+    energies = jax.jit(
+        lambda b: jax.lax.scan(
+            lambda b, _: (free_body.move(b, inertia, 1e-3), free_body.kinetic_energy(b, inertia)), b, length=5000
+        )[1]
+    )(bodies)
+    np.testing.assert_allclose(energies, energies[0], rtol=2e-3)
+
+
 @pytest.mark.parametrize("ratio", [1.0, 1e3, 1e5])
 def test_equations_of_badly_conditioned_matrices(rotations, ratio):
     """1 + ratio n n^T, as contact of a light body makes it: the error stays near rounding times the condition."""
@@ -146,6 +158,23 @@ def test_the_status_reports_what_steps_refuse_when_it_is_known(mass, moment, pos
     bodies = bodies.replace(position=bodies.position.at[0, 1].set(position))
     for check in (free_body.check_status, jax.jit(free_body.check_status)):
         assert int(check(inertia, bodies)) == status
+
+
+def test_bodies_of_other_shapes_or_orientations_are_refused():
+    bodies = free_body.bodies_at_rest(jnp.zeros((2, 3)))
+    free_body.check_bodies(bodies)
+    free_body.check_bodies(bodies.replace(orientation=bodies.orientation.at[0].set(jnp.nan)))  # sets NAN
+    for name, value, sentence in (
+        (
+            "orientation",
+            [[1.0, 1.0, 0, 0], [1.0, 0, 0, 0]],
+            "the length of orientation.* is 1.41.* give unit quaternions",
+        ),
+        ("orientation", [[1.0, 0, 0, 0]], r"bodies.orientation has shape \(1, 4\): give shape \(2, 4\)"),
+        ("velocity", [0.0, 0, 0], r"bodies.velocity has shape \(3,\): give shape \(2, 3\)"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            free_body.check_bodies(bodies.replace(**{name: jnp.array(value)}))
 
 
 @pytest.mark.parametrize(
