@@ -1,4 +1,7 @@
-"""Forces of actuators: MJX's, with their limits applied here. At a limit, MJX's have half a derivative, or none."""
+"""Forces of actuators: MJX's, but for limits and the activation of muscles, whose derivatives in MJX are wrong.
+
+At a limit they are half of what they should be, or not finite. Those of muscles overflow in single precision.
+"""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -21,6 +24,7 @@ from rewax.types import Array
 
 ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions of actuators that act on one joint."""
+_INTEGRATOR, _MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
 _FORCE_LIMITS = ("actuator_forcelimited", "tendon_actfrclimited", "jnt_actfrclimited")
 
 
@@ -77,13 +81,43 @@ def actuator_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 
 
 def _without_force_limits(mj: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
-    """``mjx.fwd_actuation`` with limits of controls only."""
+    """``mjx.fwd_actuation`` with limits of controls only, and with rates of muscles of our own."""
     if np.any(mj.actuator_ctrllimited) and not is_disabled(mj, "CLAMPCTRL"):
         low, high = m.actuator_ctrlrange.T
         ctrl = jnp.where(mj.actuator_ctrllimited != 0, clipped(d.ctrl, low, high), d.ctrl)
         unclamped = m.opt.disableflags | int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         m, d = m.replace(opt=m.opt.replace(disableflags=unclamped)), d.replace(ctrl=ctrl)
-    return mjx.fwd_actuation(m.replace(**{name: np.zeros_like(getattr(m, name)) for name in _FORCE_LIMITS}), d)
+    m = m.replace(**{name: np.zeros_like(getattr(m, name)) for name in _FORCE_LIMITS})
+    muscles = np.flatnonzero(mj.actuator_dyntype == _MUSCLE)
+    if len(muscles) == 0:
+        return mjx.fwd_actuation(m, d)
+    kinds = np.where(mj.actuator_dyntype == _MUSCLE, _INTEGRATOR, m.actuator_dyntype)  # which has an activation, too
+    own = mj.actuator_actadr[muscles]
+    rates = muscle_rates(d.ctrl[muscles], d.act[own], m.actuator_dynprm[muscles])
+    d = mjx.fwd_actuation(m.replace(actuator_dyntype=kinds), d)
+    return d.replace(act_dot=d.act_dot.at[own].set(rates))
+
+
+def muscle_rates(ctrl: Array, act: Array, parameters: Array) -> Array:
+    """Rates of change of muscles' activations [1/s], shape (n,).
+
+    Args:
+      ctrl, act: excitations and activations [-], shape (n,).
+      parameters: time constants of activation and of deactivation [s], and the width of the transition between them,
+        shape (n, 3 or more).
+
+    Gradient: exact; at the ends of [0, 1] that of the inside, and for equal excitation and activation that of a larger
+      excitation. Source: MuJoCo, ``mju_muscleDynamics`` (Millard et al. 2013).
+    """
+    rising, falling, width = parameters[:, 0], parameters[:, 1], parameters[:, 2]
+    excess, bounded = clipped(ctrl, 0.0, 1.0) - act, clipped(act, 0.0, 1.0)
+    rising, falling = rising * (0.5 + 1.5 * bounded), falling / (0.5 + 1.5 * bounded)
+    is_smooth = width >= mujoco.mjMINVAL
+    x = clipped(excess / jnp.where(is_smooth, width, 1.0) + 0.5, 0.0, 1.0)
+    share = x * x * x * (x * (6.0 * x - 15.0) + 10.0)
+    hard = jnp.where(excess >= 0, rising, falling)
+    duration = jnp.where(is_smooth, falling + (rising - falling) * share, hard)
+    return excess / jnp.maximum(mujoco.mjMINVAL, duration)
 
 
 def _limited(mj: mujoco.MjModel, m: mjx.Model, force: Array) -> Array:
@@ -110,4 +144,4 @@ def _tendon_forces(mj: mujoco.MjModel, m: mjx.Model, force: Array) -> tuple[np.n
     return pulls, pulls @ force, *m.tendon_actfrcrange[limited].T
 
 
-__all__ = ["ON_JOINT", "actuated", "actuator_damping"]
+__all__ = ["ON_JOINT", "actuated", "actuator_damping", "muscle_rates"]

@@ -11,6 +11,7 @@ import pytest
 from rewax.lowering.report import LoweringWarning
 from rewax.physics import rigid
 from rewax.physics.rigid import forces as rigid_forces
+from rewax.physics.rigid.actuation import muscle_rates
 from rewax.xla_options import unoptimised
 
 PULLED = """<mujoco><option integrator="implicitfast" timestep="0.01"/><worldbody><body>
@@ -96,6 +97,50 @@ def test_slopes_at_a_limit_are_those_of_the_inside(x64, pulled):
     )  # the tendon pulls with 1.5, the motor with 2, the joint turns with .6
     for slope in slopes(model, at_limits, [0.0, 0.0]):
         assert slope[0, 1] == 3.0 and slope[0, 2] == 1.0
+
+
+@pytest.mark.parametrize("width", [0.0, 0.2])
+def test_rates_of_muscles_are_mujocos(x64, width):
+    """And their slopes those of one-sided differences towards the inside, also where MJX's are half or less."""
+    mj = mujoco.MjModel.from_xml_string(MUSCLE.format(width=width))
+    points = [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.3, 0.3), (0.5, 0.1), (0.2, 0.25), (0.9, 0.2), (1.3, 0.5)]
+    ctrl, act = (np.array(column) for column in zip(*points, strict=True))
+    prm = np.tile(mj.actuator_dynprm[0], (len(points), 1))
+    np.testing.assert_allclose(prm[0, :3], [0.01, 0.04, width])
+
+    def mujocos(ctrl, act):
+        return np.array(
+            [mujoco.mju_muscleDynamics(c, a, mj.actuator_dynprm[0, :3, None]) for c, a in zip(ctrl, act, strict=True)]
+        )
+
+    rates = jax.jit(muscle_rates, compiler_options=unoptimised())(ctrl, act, prm)
+    np.testing.assert_allclose(rates, mujocos(ctrl, act), rtol=1e-12, atol=1e-12)
+    slope = jax.jit(jax.grad(lambda c: muscle_rates(c, act, prm).sum()), compiler_options=unoptimised())(ctrl)
+    inside = np.where(ctrl < 1.0, 1e-8, -1e-8)
+    expected = (mujocos(ctrl + inside, act) - rates) / inside
+    np.testing.assert_allclose(slope[:7], expected[:7], rtol=1e-5)
+    assert slope[7] == 0.0
+
+
+MUSCLE = """<mujoco><compiler angle="radian"/><option timestep="0.005"/><worldbody><body>
+  <joint name="j" axis="0 1 0" damping=".1"/><geom size=".02" pos=".2 0 0" mass=".3" contype="0" conaffinity="0"/>
+</body></worldbody><actuator><muscle joint="j" lengthrange="-1 1" force="3" tausmooth="{width}"/></actuator></mujoco>"""
+
+
+def test_muscles_have_a_gradient_in_single_precision():
+    """MJX divides by the width of the transition, 0 by default, and its fifth power overflows."""
+    slopes = []
+    for precise in (False, True):
+        with jax.enable_x64(precise):
+            model = rigid.load(MUSCLE.format(width=0.0))
+
+            def velocity(ctrl, model=model):
+                return rigid.step(model, rigid.initial_state(model), ctrl, num_substeps=3).qvel[0]
+
+            ctrl = jnp.array([[0.0], [0.05], [0.5], [1.0]])
+            slopes.append(jax.jit(jax.vmap(jax.grad(velocity)), compiler_options=unoptimised())(ctrl))
+    np.testing.assert_allclose(slopes[0], slopes[1], rtol=1e-4)
+    assert np.all(np.asarray(slopes[1]) < -1e-2)
 
 
 def test_slopes_beyond_limits(x64, pulled):

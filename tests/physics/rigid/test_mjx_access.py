@@ -18,7 +18,7 @@ FUNCTIONS = (
 OF_THE_MODEL = (
     *rigid.PARAMETERS, "opt", "site_pos", "site_quat", "eq_data", "npair", "pair_geom1", "pair_geom2", "pair_dim",
     "pair_solreffriction", "geom_contype", "geom_conaffinity", "geom_rbound", "numeric_data",
-    "actuator_forcelimited", "tendon_actfrclimited", "tendon_actfrcrange", "jnt_actfrclimited", "jnt_actfrcrange",
+    "actuator_forcelimited", "actuator_dyntype", "tendon_actfrclimited", "tendon_actfrcrange", "jnt_actfrclimited", "jnt_actfrcrange",
 )  # fmt: skip
 READ_AND_WRITTEN = (
     "qpos", "qvel", "act", "ctrl", "xpos", "xmat", "xipos", "ximat", "subtree_com", "cdof", "cvel", "geom_xpos", "geom_xmat",
