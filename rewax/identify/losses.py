@@ -148,13 +148,13 @@ def depth_picture(camera: Camera, world: World, seen: Array, *, delta: Scalar = 
     Args:
       camera: ``gradient=True`` gives derivatives.
       world: simulated.
-      seen: the camera's picture [m], shape (height, width); ``camera.far`` where nothing was seen.
+      seen: the camera's picture [m], shape (height, width); 0, or ``camera.far`` and more, where nothing was seen.
       delta: difference beyond which the loss is linear [m].
 
     Gradient: that of ``Camera.view``: exact for the surface that a pixel sees; none at outlines.
     """
     depth = camera.depth(world)
-    both = (seen < camera.far) & (depth < camera.far)
+    both = (seen > 0) & (seen < camera.far) & (depth < camera.far)
     difference = jnp.where(both, depth - seen, 0.0)
     return huber(difference, delta).sum() / jnp.maximum(both.sum(), 1)
 

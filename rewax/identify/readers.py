@@ -32,10 +32,17 @@ def read_folder(
       scale: factor from the files' unit of length to metres: 0.001 for millimetres.
 
     Raises:
-      ValueError: in one sentence: files are missing or cannot be read, the environment's joints cannot follow the
+      ValueError: in one sentence: files are missing or cannot be read, the frames span less than a control step (they
+        may be numbered, not named by microseconds), the environment's joints cannot follow the
         path, or ``check_record`` finds a fault.
     """
     files, times = _files_and_times(Path(folder))
+    if len(times) > 1 and times[-1] < float(env.control_dt):
+        raise ValueError(
+            f"the last of {len(times)} frames in {str(folder)!r} is at {times[-1]:g} s, within the first control step "
+            f"of {float(env.control_dt):g} s: name the files by microseconds, or add a file times.csv with the columns "
+            "file and time in seconds"
+        )
     clouds, masks = zip(*(padded(scale * _points(path), num_points) for path in files), strict=True)
     joint_q = tool_joints(tool_path, env, times[-1])
     record = Record(
@@ -111,8 +118,10 @@ def _files_and_times(folder: Path) -> tuple[list[Path], np.ndarray]:
         times = [_number(by_name[path.name], listed) for path in found]
     else:
         numbers = [re.search(r"(\d+)\D*$", path.stem) for path in found]
-        if not all(numbers):
-            raise ValueError(f"the names of the PLY files in {str(folder)!r} hold no time: add a file times.csv")
+        if not all(numbers) or any(re.search(r"\d[.,]\d+\D*$", path.stem) for path in found):
+            raise ValueError(
+                f"the names of the PLY files in {str(folder)!r} are no times in microseconds: add a file times.csv"
+            )
         times = [1e-6 * int(number[1]) for number in numbers if number]
     order = np.argsort(times, kind="stable")
     return [found[i] for i in order], np.asarray(times, float)[order]

@@ -40,14 +40,15 @@ class DepthNoise(struct.Replaceable):
           far: depth of pixels that see nothing [m].
           key: for the draws.
 
-        Gradient: exact by depth but for the steps.
+        Gradient: exact by depth; that of the steps is as if there were none, and zero where a pixel sees nothing.
         """
         noise_key, edge_key, drop_key = jax.random.split(key, 3)
         seen = depth < far
         deviation = self.constant + self.quadratic * depth**2
         noisy = depth + deviation * jax.random.normal(noise_key, depth.shape, depth.dtype)
         steps = jnp.where(self.step > 0, self.step, 1.0)
-        noisy = jnp.where(self.step > 0, jnp.round(noisy / steps) * steps, noisy)
+        rounding = jax.lax.stop_gradient(jnp.round(noisy / steps) * steps - noisy)
+        noisy = noisy + jnp.where(self.step > 0, rounding, 0.0)
         at_edge = _jump(depth) > self.edge
         lost = at_edge & jax.random.bernoulli(edge_key, self.edge_holes, depth.shape)
         lost |= jax.random.bernoulli(drop_key, self.dropout, depth.shape)

@@ -50,8 +50,10 @@ class Touch(struct.Replaceable):
         for name in ("torque", "gradient"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} is {getattr(self, name)!r}: give True or False")
-        if isinstance(self.bodies, (str, int)):
+        if isinstance(self.bodies, (str, int, np.integer)):
             object.__setattr__(self, "bodies", (self.bodies,))
+        if self.bodies is not None:
+            object.__setattr__(self, "bodies", tuple(int(b) if isinstance(b, np.integer) else b for b in self.bodies))
         if self.bodies is not None and (not self.bodies or len(set(self.bodies)) < len(self.bodies)):
             raise ValueError(f"bodies is {self.bodies!r}: give each body once, or None for all that can touch")
         check_numbers(numbers_of(self, "Touch."))
@@ -107,10 +109,9 @@ class Touch(struct.Replaceable):
             raise ValueError("the world has nothing felt: put Touch into the sensors of a Sensing")
         if self.frame == "world":
             return world.felt
-        assert world.bodies is not None
-        owner = np.asarray(self.patches.body)
-        rotation = jnp.swapaxes(world.bodies.rotation[np.maximum(owner, 0)], -1, -2)
-        rotation = jnp.where((owner == WALLS)[:, None, None], jnp.eye(3, dtype=rotation.dtype), rotation)
+        owner, upright = np.asarray(self.patches.body), jnp.eye(3, dtype=world.felt.force.dtype)[None]
+        turns = upright if world.bodies is None else jnp.concatenate([world.bodies.rotation, upright])
+        rotation = jnp.swapaxes(turns[np.where(owner == WALLS, len(turns) - 1, owner)], -1, -2)  # walls do not turn
         return Wrench(*(turned(rotation, vector) for vector in world.felt))
 
     def see(self, world: World, key: Key) -> Array:

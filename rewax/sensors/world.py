@@ -107,6 +107,8 @@ class World(struct.Replaceable):
           ValueError: there is no such body.
         """
         count = 0 if self.bodies is None else len(self.bodies.position)
+        if count == 0:
+            raise ValueError(f"body is {index}, but no body of this world can carry a sensor: give None")
         if self.bodies is None or not 0 <= index < count:
             raise ValueError(f"body is {index}, but {count} bodies can carry a sensor: give a body from 0 on, or None")
         return body_pose(self.bodies, index)

@@ -49,6 +49,24 @@ def test_large_clouds_are_thinned_and_times_may_stand_in_a_file(tmp_path):
         read_folder(tmp_path, tool, ENV)
 
 
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        (
+            "frame_{:04d}",
+            r"the last of 5 frames in .* is at 4e-06 s, within the first control step of 0.1 s: name the ",
+        ),
+        ("cloud_0.{:d}", "are no times in microseconds: add a file times.csv"),
+    ],
+)
+def test_numbers_that_are_no_microseconds_are_refused(tmp_path, name, sentence):
+    tool = write(tmp_path, record_cases.pushed())
+    for i, path in enumerate(sorted(tmp_path.glob("*.ply"))):
+        path.rename(tmp_path / f"{name.format(i)}.ply")
+    with pytest.raises(ValueError, match=sentence):
+        read_folder(tmp_path, tool, ENV)
+
+
 def test_faults_are_told_in_a_sentence(tmp_path):
     with pytest.raises(ValueError, match="there are no PLY files"):
         read_folder(tmp_path, tmp_path / "tool.csv", ENV)

@@ -185,6 +185,14 @@ def test_noise_grows_with_distance_and_holes_lie_at_edges():
     assert abs((dropped & seen).sum() / seen.sum() - 0.2) < 0.05
 
 
+def test_steps_of_a_noisy_camera_leave_the_gradient():
+    """Rounding alone has the derivative zero."""
+    depth = jnp.linspace(0.5, 1.5, 12).reshape(3, 4).at[0, 0].set(FAR)
+    for noise in (DepthNoise(step=0.01), DepthNoise(step=0.01, constant=0.001)):
+        slope = jax.grad(lambda d, noise=noise: noise.apply(d, FAR, jax.random.key(0)).sum())(depth)
+        np.testing.assert_array_equal(slope, (depth < FAR).astype(float))
+
+
 def test_an_observation_lies_between_zero_and_one():
     seen = CAMERA.see(world_of_all_kinds(), jax.random.key(0))
     assert seen.shape == (48, 64, 1) and seen.min() >= 0 and seen.max() <= 1

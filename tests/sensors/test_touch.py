@@ -76,6 +76,18 @@ def test_the_body_frame_turns_the_vectors():
     np.testing.assert_array_equal(seen, felt.force.reshape(-1))
 
 
+def test_walls_alone_feel_where_there_are_no_bodies():
+    felt = Wrench(jnp.array([[1.0, 2.0, 3.0]]), jnp.array([[0.0, 1.0, 0.0]]))
+    for bodies in (None, Pose(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))):
+        found = Touch(bodies=(WALLS,), frame="body").measure(World(bodies=bodies, felt=felt))
+        np.testing.assert_array_equal(found.force, felt.force)
+
+
+def test_indices_may_be_numpys():
+    for bodies in (np.int64(2), (np.int32(2),)):
+        assert Touch(bodies=bodies).patches.body == (2,)
+
+
 def test_the_gradient_can_be_cut():
     def seen(x, touch):
         world = World(felt=Wrench(x * jnp.ones((1, 3)), jnp.zeros((1, 3))))

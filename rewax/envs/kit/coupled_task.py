@@ -20,7 +20,9 @@ from rewax.envs.kit.worlds import soft_world
 from rewax.physics import rigid
 from rewax.physics.contact import WALLS, Patches
 from rewax.physics.coupling import Wrench, articulated, no_wrench
+from rewax.physics.coupling.mixed import MixedScene
 from rewax.physics.rigid import RigidModel, RigidState
+from rewax.physics.thin import ThinScene
 from rewax.sensors.robots import with_robot
 from rewax.sensors.world import World
 from rewax.types import Array, Key, PyTree, Vector
@@ -79,6 +81,12 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
+        if isinstance(self.scene, ThinScene | MixedScene):
+            raise ValueError(
+                f"scene is a {type(self.scene).__name__}, but the soft body of a CoupledTask has particles or "
+                "tetrahedra: for cloth and ropes give a ThinTask with prescribed tools, or call articulated.step in an "
+                "environment of your own"
+            )
         articulated.soft_substeps(self.scene, self.model)
 
     # --- Methods that a task defines, beside observe and reward ---

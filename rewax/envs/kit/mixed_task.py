@@ -10,9 +10,9 @@ from rewax.envs.kit.appearance import soft_appearance, soft_values
 from rewax.envs.kit.soft_body import soft_at_rest
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.thin_task import ThinTask
-from rewax.envs.kit.worlds import soft_world, thin_world, with_tools
+from rewax.envs.kit.worlds import soft_world, thin_world
 from rewax.physics import coupling, thin
-from rewax.physics.contact import drawings
+from rewax.physics.contact import Collider, drawings
 from rewax.physics.coupling import MixedScene, MixedState, mixed
 from rewax.physics.numerics import Pose
 from rewax.physics.thin import ThinScene
@@ -29,7 +29,7 @@ class MixedTask(ThinTask):
     ``MixedState``.
 
     Attributes:
-      scene: particles, cloth and their contact. Pictures show the colliders of the particles.
+      scene: particles, cloth and their contact. Pictures and sensors show ``seen_colliders``.
       vertex_stride: distance between the indices of two observed vertices (static).
     """
 
@@ -102,17 +102,22 @@ class MixedTask(ThinTask):
         return {**thin_part, **loose, **elements, **own}
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
-        """Drawings of the particles' colliders, and a ball at each held vertex and at each grasp."""
-        shown = drawings(self.scene.particles.colliders, self._bodies(physics.joint_q))
+        """Drawings of ``seen_colliders``, and a ball at each held vertex and at each grasp."""
+        shown = drawings(self.seen_colliders, self._bodies(physics.joint_q))
         return [*shown, *self.holders(physics)]
 
     def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
         loose = soft_world(self.scene.particles, _both(physics).particles, up)
         sheets = thin_world(self.scene.thin, _both(physics).thin, self.thickness)
         world = loose.replace(balls=(*loose.balls, *sheets.balls), triangles=sheets.triangles)
-        if not self.scene.particles.colliders:
-            return world
-        return with_tools(world, self.scene.particles.colliders, self._bodies(physics.joint_q))
+        return self._with_tools(world, physics)
+
+    @property
+    def seen_colliders(self) -> tuple[Collider, ...]:
+        """Colliders of the particles, and those of the cloth on other bodies."""
+        loose, others = self.scene.particles.colliders, self.scene.thin.colliders
+        bodies = {collider.body for collider in loose}
+        return (*loose, *(collider for collider in others if collider.body not in bodies))
 
 
 def _both(physics: SoftPhysics) -> MixedState:

@@ -12,6 +12,7 @@ from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.worlds import thin_world, with_tools
 from rewax.physics import thin
+from rewax.physics.contact import Collider
 from rewax.physics.numerics import Pose
 from rewax.physics.thin import ThinScene
 from rewax.sensors.world import World
@@ -120,9 +121,18 @@ class ThinTask(SoftTask):
     def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
         del up
         world = thin_world(self.scene, physics.soft, self.thickness)  # pyright: ignore[reportArgumentType]
-        if not self.scene.colliders:
+        return self._with_tools(world, physics)
+
+    @property
+    def seen_colliders(self) -> tuple[Collider, ...]:
+        """The tools that pictures and sensors show."""
+        return self.scene.colliders
+
+    def _with_tools(self, world: World, physics: SoftPhysics) -> World:
+        """The world with the tools, and with all bodies that can carry a sensor: those of tools and of grasps."""
+        if not self.seen_colliders and not self.scene.grasps:
             return world
-        return with_tools(world, self.scene.colliders, self._bodies(physics.joint_q))
+        return with_tools(world, self.seen_colliders, self._bodies(physics.joint_q))
 
     def _bodies(self, joint_q: Array) -> Pose:
         """Poses of the bodies, shapes (num_bodies, 3) and (num_bodies, 3, 3), for joint_q (num_joints,)."""

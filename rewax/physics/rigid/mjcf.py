@@ -198,7 +198,12 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
 
-    turning = (mj.actuator_trnid[:, 1] >= 0) & np.any(mj.actuator_gear[:, 3:] != 0, axis=1)
+    check_gear(mj, mj.actuator_gear)
+
+
+def check_gear(mj: mujoco.MjModel, gear: np.ndarray) -> None:
+    """Raises ValueError for an actuator that turns a site against its refsite; gear has shape (num_actuators, 6)."""
+    turning = (mj.actuator_trnid[:, 1] >= 0) & np.any(gear[:, 3:] != 0, axis=1)
     turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
     if np.any(turning):
         raise ValueError(

@@ -98,7 +98,8 @@ class RigidModel(struct.Replaceable):
 
     Attributes:
       parameters: MuJoCo's fields named in ``PARAMETERS``. Differentiate with respect to them, vmap over them, change
-        them without compiling again. Values that MuJoCo derives from them (inverse weights) do not follow. Ranges of
+        them without compiling again. Values that MuJoCo derives from them do not follow: inverse weights, the strength
+        of muscles without a ``force``, lengths of tendons at rest, and damping given as ``dampratio``. Ranges of
         unlimited joints and actuators have no effect. Traced dry friction of a joint that was loaded without it has no
         effect; in a model loaded without damping, a traced one is explicit in time. Limits whose two margins overlap
         have one constraint instead of two. Mass and inertia are separate parameters: change both. Quaternions and axes
@@ -163,6 +164,8 @@ class RigidModel(struct.Replaceable):
                 self._check_loaded(name, np.asarray(value))
             if name == "geom_size":
                 self._check_sizes(value)
+            if name == "actuator_gear" and not isinstance(value, jax.core.Tracer):
+                mjcf.check_gear(self.static.mj, np.asarray(value))
         check_numbers(parameter_numbers(changes))
         check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}

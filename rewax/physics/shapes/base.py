@@ -94,10 +94,12 @@ class Shape(struct.Replaceable):
     def volume(self) -> Scalar:
         """Volume [m^3]; by default by quadrature on 64^3 cells of the bounding box.
 
-        The default's error is of order (cell / size)^2: below 0.2 % for the bounded shapes of rewax.
+        The default's error is of order (cell / size)^2: below 0.2 % for the bounded shapes of rewax. It is estimated
+        from half as many cells along each axis.
 
         Raises:
-          ValueError: the shape has no bounds.
+          ValueError: the shape has no bounds, or is concrete and so thin that the estimated error exceeds 1 %: write
+            ``volume`` and ``inertia``.
 
         Gradient: exact with respect to sizes; the default differentiates the quadrature.
         """
@@ -115,7 +117,7 @@ class Shape(struct.Replaceable):
           Mass [kg], shape (); moments and products of inertia about the origin [kg m^2], shape (3, 3).
 
         Raises:
-          ValueError: the shape has no bounds, or its centre of mass is concrete and not the origin.
+          ValueError: as for ``volume``, or the centre of mass is concrete and not the origin.
 
         Gradient: as for ``volume``.
         """
@@ -131,7 +133,7 @@ class Shape(struct.Replaceable):
         Returns:
           Distance in units of the direction's length, shape (...), infinite where a ray misses or begins inside.
 
-        Gradient: none is promised; sensors cut it.
+        Gradient: exact by rays and sizes for the surface that a ray meets; a camera with ``gradient=True`` passes it.
         """
         return traced_entry(self, origin, direction)
 

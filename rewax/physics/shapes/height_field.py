@@ -1,5 +1,6 @@
 """Terrain given by heights at the nodes of a grid."""
 
+import jax
 import jax.numpy as jnp
 
 from rewax import struct
@@ -57,10 +58,18 @@ class HeightField(Shape):
         return (p[1] - (ends[0] + fx * (ends[1] - ends[0]))) * n[1], n
 
     def cast(self, origin: Vec3, direction: Vec3) -> Array:
-        """Exact."""
-        return bilinear_entry(
+        """Exact. Gradient: exact for the cell that a ray meets, by ray, heights, origin and spacing."""
+        t = bilinear_entry(
             jnp.asarray(self.heights), (self.origin[..., 0], self.origin[..., 1]), self.spacing, origin, direction
         )
+        meets = jnp.isfinite(t)
+        met = jnp.where(meets, t, 0.0)
+        distance, normal = self.distance(cp.vector(lambda i: origin[i] + met * direction[i]))
+        approach = jax.lax.stop_gradient(-cp.dot(normal, direction))
+        steep = approach > 1e-12
+        # A Newton step that leaves the value as it is and has the derivative of the implicit function.
+        change = (distance - jax.lax.stop_gradient(distance)) / jnp.where(steep, approach, 1.0)
+        return jnp.where(meets, met + jnp.where(steep, change, 0.0), jnp.inf)
 
     def draw(self) -> list[Drawing]:
         """A mesh of the surface over its grid, cached by heights."""

@@ -51,7 +51,8 @@ class Grasp(struct.Replaceable):
       slip_time: time in which an open grasp's points follow the vertices [s].
       offset: center of the grasp in the body's frame [m], shape (3,); by default zero.
       body: index of the body (static).
-      vertices: indices of the vertices that the grasp may hold, or a mask (static); None: all.
+      vertices: indices of the vertices that the grasp may hold, or a mask over all (static); None: all.
+      num_vertices: length of the mask that was given, which the scene's number of vertices must equal (static).
     """
 
     radius: Scalar | None = struct.number(POSITIVE, "give a length in metres", shape=(), default=None)
@@ -63,12 +64,18 @@ class Grasp(struct.Replaceable):
     )
     body: int = struct.static_field(default=0)
     vertices: tuple[int, ...] | None = struct.static_field(default=None)
+    num_vertices: int | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
         static_integer("Grasp.body", self.body, 0, "give the index of a body, counted from 0")
         if self.vertices is not None:
             given = np.asarray(self.vertices)
-            held = held_indices(given, given.size if given.dtype == bool else np.iinfo(np.int32).max, "vertices")
+            is_mask = given.dtype == bool
+            held = held_indices(given, given.size if is_mask else np.iinfo(np.int32).max, "vertices")
+            if len(held) == 0:
+                raise ValueError("Grasp.vertices holds no vertex: give indices or a mask of some, or None for all")
+            if is_mask:
+                object.__setattr__(self, "num_vertices", given.size)
             object.__setattr__(self, "vertices", tuple(int(k) for k in held))
 
 
@@ -97,6 +104,11 @@ def check_grasps(grasps: tuple[Grasp, ...], num_vertices: int) -> None:
     """Raises ValueError for illegal numbers, vertices that do not exist, and grasps without vertices or radius."""
     check_numbers(grasp_numbers(grasps))
     for i, grasp in enumerate(grasps):
+        if grasp.num_vertices not in (None, num_vertices):
+            raise ValueError(
+                f"grasps[{i}].vertices is a mask of length {grasp.num_vertices}, but the scene has {num_vertices} "
+                f"vertices: give a mask of length {num_vertices}, or indices"
+            )
         if grasp.vertices is not None:
             check_range(f"grasps[{i}].vertices", np.asarray(grasp.vertices, int), num_vertices)
         elif grasp.radius is None:
@@ -120,6 +132,13 @@ def checked_grips(scene: "ThinScene", holds: Any, grips: Any, num_substeps: int,
         raise ValueError(
             f"state.holds has {len(holds)} entries, but the scene has {count} grasps: begin with thin.open_grasps"
         )
+    for i, (grasp, hold) in enumerate(zip(scene.grasps, holds, strict=True)):
+        num = scene.topology.triangles.num_vertices if grasp.vertices is None else len(grasp.vertices)
+        if jnp.shape(hold.point) != (num, 3) or jnp.shape(hold.share) != (num,):
+            raise ValueError(
+                f"state.holds[{i}] has points of shape {jnp.shape(hold.point)} and shares of shape "
+                f"{jnp.shape(hold.share)}, but grasps[{i}] may hold {num} vertices: begin with thin.open_grasps"
+            )
     check_grasp_bodies(scene.grasps, num_bodies)
     return None if not count else jnp.broadcast_to(jnp.asarray(grips, holds[0].share.dtype), (num_substeps, count))
 

@@ -2,12 +2,13 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 from rewax import struct
 from rewax.envs.kit import coupled_task
 from rewax.envs.kit.coupled_task import CoupledPhysics, CoupledTask
 from rewax.envs.kit.point_cloud import PointCloud
-from rewax.physics import rigid, tets
+from rewax.physics import rigid, tets, thin
 from rewax.physics.contact import Ground, PenaltyContact
 from rewax.physics.tets import tetmesh
 from rewax.status import Status
@@ -61,6 +62,16 @@ def test_a_paddle_pushes_the_block_and_feels_it():
     weight = float(env.scene.mass.sum()) * 9.81
     assert gained <= -felt <= gained + 0.2 * weight * 12 * env.control_dt
     assert felt < -0.1
+
+
+def test_cloth_is_refused():
+    env = push()
+    scene = thin.make_scene(
+        mesh=thin.sheet(0.1, 0.1, 1, 1), dt=1e-3,
+        cloth=thin.isotropic_cloth(youngs_modulus=1e3, poissons_ratio=0.3, thickness=2e-3, density=200.0),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="scene is a ThinScene, but the soft body of a CoupledTask has particles or "):
+        env.replace(scene=scene)
 
 
 def test_each_piece_of_a_control_step_tells_what_it_did_not_solve(monkeypatch):

@@ -11,7 +11,7 @@ from rewax.envs.kit.task_repr import task_repr
 from rewax.physics import coupling, thin
 from rewax.physics.contact import Collider
 from rewax.physics.numerics import Pose
-from rewax.physics.shapes import Box, fill_box
+from rewax.physics.shapes import Box, Sphere, fill_box
 from rewax.physics.thin import Grasp
 
 MESH = thin.sheet(0.1, 0.1, 2, 2)
@@ -103,3 +103,15 @@ def test_pictures_and_sensors_hold_both():
     assert kinds == ["box", "sphere"]  # the floor, and the one grasp
     world = ENV.world(physics, ENV.up)
     assert set(world.names) >= {"sand", "cloth"} and len(world.balls[0].center) == len(GRAINS)
+    assert [world.body(k).position.shape for k in (0, 1)] == [(3,)] * 2
+
+
+def test_tools_of_the_cloth_alone_are_seen():
+    """And those of the particles once, also where the cloth meets them, too."""
+    ball, box = (Collider(shape=Sphere(radius=0.01), body=body) for body in (0, 1))
+    env = tray()
+    env = env.replace(scene=env.scene.replace(thin=env.scene.thin.replace(colliders=(ball, box))))
+    assert [collider.body for collider in env.seen_colliders] == [1, 0]
+    physics = env.reset(jax.random.key(0)).physics
+    assert [drawing["kind"] for drawing in env.render_shapes(physics)] == ["box", "sphere", "sphere"]
+    assert len(env.world(physics, env.up).solids) == len(ENV.world(physics, ENV.up).solids) + 1

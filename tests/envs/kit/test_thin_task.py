@@ -82,6 +82,7 @@ def test_pictures_sensors_and_text_know_it():
     np.testing.assert_array_equal(looks["triangles"], MESH.triangles)
     world = env.world(physics, env.up)
     assert world.names == ("cloth",) and len(world.triangles[0].faces) == 8
+    np.testing.assert_array_equal(world.body(1).rotation, np.eye(3))  # hands without colliders carry cameras, too
     centers = [np.asarray(drawing["center"]) for drawing in env.render_shapes(physics)]
     np.testing.assert_allclose(centers, np.asarray(physics.soft.x)[[0, 2]], atol=1e-6)
     assert "9 vertices, 8 triangles" in task_repr(env)

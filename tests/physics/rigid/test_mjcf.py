@@ -238,3 +238,13 @@ def test_every_way_to_give_a_model(tmp_path):
     for other in others:
         np.testing.assert_array_equal(other.body_mass, first.body_mass)
         assert (other.nq, other.nu, other.njnt) == (first.nq, first.nu, first.njnt)
+
+
+def test_a_gear_that_turns_a_site_against_its_refsite_is_refused_later_too():
+    model = rigid.load(
+        tiny(body='<site name="root"/>', actuator='<motor name="twist" site="tip" refsite="root" gear="1 0 0 0 0 0"/>')
+    )
+    gear = model.parameters["actuator_gear"]
+    model.with_parameters(actuator_gear=2.0 * gear)
+    with pytest.raises(ValueError, match=r"^actuator 'twist' turns a site against its refsite, which is not supported"):
+        model.with_parameters(actuator_gear=gear.at[-1, 3].set(1.0))

@@ -1,5 +1,7 @@
 """Terrain: planes, which bilinear heights reproduce, and beyond the grid."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from shape_cases import NUM, TERRAIN, evaluate
 
@@ -20,3 +22,32 @@ def test_height_of_a_slope_is_the_distance_to_its_plane(x64):
     np.testing.assert_allclose(distance[0] / normal[0, 1], -TERRAIN.heights[:2, 0].mean(), rtol=1e-12)
     np.testing.assert_allclose(distance[1:], -TERRAIN.heights[-1, -1], rtol=1e-12)
     np.testing.assert_allclose(normal[1:], np.broadcast_to([0.0, 1.0, 0.0], (NUM - 1, 3)), atol=1e-14)
+
+
+def test_slopes_of_rays_are_those_of_differences(x64):
+    """By where rays begin and go, heights, origin and spacing; reverse equals forward."""
+    rng = np.random.default_rng(4)
+    start = jnp.asarray(rng.uniform([-0.6, 0.8, -0.4], [0.6, 1.0, 0.5], (NUM, 3)))
+    way = jnp.asarray(rng.uniform([-0.4, -1.0, -0.4], [0.4, -0.8, 0.4], (NUM, 3)))
+    point = (
+        start,
+        way,
+        TERRAIN.replace(**{k: jnp.asarray(getattr(TERRAIN, k)) for k in ("heights", "origin", "spacing")}),
+    )
+    weights = jnp.asarray(rng.standard_normal(NUM))
+
+    @jax.jit
+    def total(point):
+        start, way, terrain = point
+        t = terrain.cast(tuple(start.T), tuple(way.T))
+        return jnp.sum(jnp.where(jnp.isfinite(t), weights * t, 0.0)), jnp.isfinite(t).sum()
+
+    assert total(point)[1] > NUM / 2
+    slope = jax.grad(lambda p: total(p)[0])(point)
+    for leaf in jax.tree.leaves(slope):
+        assert np.abs(leaf).max() > 1e-3
+    along = jax.tree.map(lambda a: jnp.asarray(rng.standard_normal(np.shape(a))), point)
+    moved = [total(jax.tree.map(lambda a, d, s=s: a + s * 1e-7 * d, point, along))[0] for s in (1, -1)]
+    reverse = sum(jnp.vdot(a, b) for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(along), strict=True))
+    np.testing.assert_allclose(reverse, (moved[0] - moved[1]) / 2e-7, rtol=1e-5)
+    np.testing.assert_allclose(jax.jvp(lambda p: total(p)[0], (point,), (along,))[1], reverse, rtol=1e-10)

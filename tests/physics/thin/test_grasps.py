@@ -10,6 +10,7 @@ from rewax.physics import thin
 from rewax.physics.contact import Collider, PenaltyContact
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Sphere
+from rewax.physics.thin.grasps import check_grasps
 from rewax.status import Status
 
 CORNER = np.asarray(SHEET.vertices[0])
@@ -178,3 +179,10 @@ def test_vertices_are_indices_or_a_mask():
     for vertices in ((0.5, 1.0), (1, 1), (-1,)):
         with pytest.raises(ValueError, match=r"^vertices"):
             thin.Grasp(stiffness=1.0, vertices=vertices)
+    for nothing in (np.zeros(3, bool), ()):
+        with pytest.raises(ValueError, match=r"^Grasp.vertices holds no vertex"):
+            thin.Grasp(stiffness=1.0, vertices=nothing)
+    grasp = thin.Grasp(stiffness=1.0, vertices=mask).replace(body=1)
+    check_grasps((grasp,), 3)
+    with pytest.raises(ValueError, match=r"^grasps\[0\].vertices is a mask of length 3, but the scene has 25 vertices"):
+        check_grasps((grasp,), 25)
