@@ -31,6 +31,7 @@ from rewax.physics.rigid.mjx_access import (
     mjx,
     mujoco,
     num_bounded_rows,
+    tendon,
     tendon_jacobian,
     with_actuator_velocities,
     with_tendon_velocities,
@@ -157,7 +158,7 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
     """Lengths, moment arms and velocities of tendons and actuators."""
     if model.static.mj.ntendon:
-        d = mjx.tendon(m, d)
+        d = tendon(m, d)
     d = mjx.transmission(m, d)
     d = d.replace(actuator_length=_actuator_lengths(model, m, d))
     d = with_actuator_velocities(d, dot(actuator_moments(d), d.qvel))
@@ -290,7 +291,7 @@ def rows_and_contacts(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.D
         if contact is not None:  # as in MuJoCo, whose rows contain 1 / friction
             contact = contact.replace(friction=jnp.maximum(contact.friction, mujoco.mjMINMU))
         if model.static.mj.ntendon:
-            d = mjx.tendon(m, d)
+            d = tendon(m, d)
         jacobian, stiffness, target, loss = constraint_arrays(m, d, contact)
         if contact is not None and stiffness.dtype == np.float32:
             stiffness = _softened(stiffness, contact)

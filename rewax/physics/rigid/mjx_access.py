@@ -1,7 +1,7 @@
 """Imports MJX without its warnings, and holds every access to MJX's private fields.
 
 No other file of rewax imports ``mujoco.mjx``. MJX keeps the fields of its JAX backend in ``Data._impl``; the functions
-below read and write them there. rewax calls only public functions of MJX.
+below read and write them there. rewax calls only public functions of MJX, and replaces one for the time of a call.
 """
 
 # pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportAssignmentType=false
@@ -10,10 +10,12 @@ below read and write them there. rewax calls only public functions of MJX.
 import contextlib
 import io
 import logging
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.rigid.tendon_wrap import wrap
 from rewax.types import Array
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -22,6 +24,7 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
     logging.disable(logging.WARNING)
     import mujoco
     from mujoco import mjx
+    from mujoco.mjx._src import support
 
     logging.disable(_level)
 
@@ -68,6 +71,24 @@ def actuator_moments(d: mjx.Data) -> Array:
     return d._impl.actuator_moment  # transmission returns them nowhere else
 
 
+def tendon(m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """``mjx.tendon`` with the way around geoms of ``tendon_wrap``, but for tendons that pass inside a geom."""
+    theirs = support.wrap
+
+    def wrapped(*args: Any) -> tuple[Array, Array, Array]:
+        *geometry, inside = args[:9]
+        if inside:
+            return theirs(*args)
+        length, *points = wrap(*(jnp.reshape(x, ()) if jnp.size(x) == 1 else x for x in geometry))
+        return length[None], *points
+
+    support.wrap = wrapped  # mjx.tendon has no argument for it
+    try:
+        return mjx.tendon(m, d)
+    finally:
+        support.wrap = theirs
+
+
 def tendon_jacobian(d: mjx.Data) -> Array:
     """Derivative of the tendons' lengths from ``mjx.tendon``, shape (num_tendons, num_dofs)."""
     return d._impl.ten_J  # tendon returns it nowhere else
@@ -102,6 +123,6 @@ def contact_of(
 
 __all__ = [
     "ConstraintArrays", "actuator_moments", "actuator_velocities", "constraint_arrays", "contact_of",
-    "listed_collisions", "mjx", "mujoco", "num_bounded_rows", "tendon_jacobian", "with_actuator_velocities",
+    "listed_collisions", "mjx", "mujoco", "num_bounded_rows", "tendon", "tendon_jacobian", "with_actuator_velocities",
     "with_tendon_velocities",
 ]  # fmt: skip
