@@ -46,8 +46,8 @@ def wrap(
     first, second = _plane(p, q)
     first = jnp.where(is_sphere, first, jnp.array([1.0, 0.0, 0.0], p.dtype))
     second = jnp.where(is_sphere, second, jnp.array([0.0, 1.0, 0.0], p.dtype))
-    flat = [jnp.stack([first @ point, second @ point]) for point in (p, q, s)]
-    wraps, angle, touch, tangents = _around_circle(*flat, radius, has_side)
+    flat_p, flat_q, flat_s = (jnp.stack([first @ point, second @ point]) for point in (p, q, s))
+    wraps, angle, touch, tangents = _around_circle(flat_p, flat_q, flat_s, radius, has_side)
     wraps &= (_norm(p) > _TINY) & (_norm(q) > _TINY)
 
     arc = radius * jnp.where(wraps, angle, 1.0)
@@ -67,13 +67,13 @@ def wrap(
 
 def _around_circle(
     p: Array, q: Array, s: Array, radius: Array, has_side: Array
-) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
+) -> tuple[Array, Array, tuple[Array, Array], list[Array]]:
     """Around a circle at the origin: whether a tendon touches it, the arc's angle, both tangent points and lengths."""
     square = radius * radius
     outside = (p @ p >= square) & (q @ q >= square) & (radius > _TINY)
     safe = [jnp.where(outside, point, at) for point, at in ((p, _beside(radius, p)), (q, -_beside(radius, q)))]
     least = (_LEAST_TANGENT * radius) ** 2
-    tangents = tuple(jnp.sqrt(jnp.maximum(point @ point - square, least)) for point in safe)
+    tangents = [jnp.sqrt(jnp.maximum(point @ point - square, least)) for point in safe]
 
     way = safe[1] - safe[0]
     apart = way @ way
