@@ -66,7 +66,7 @@ _REMEDIES = {
     Status.FULL_PAIRS: "a larger self_contact.pairs_per_element, or contact.pairs_per_particle of a mixed scene",
     Status.CROSSED: "slower motion, a smaller dt, or a stiffer or thicker self_contact with a larger max_speed",
     Status.UNSOLVED: "a smaller dt, or more iterations (rigid.load), newton_iterations or cg_iterations (stepper)",
-    Status.PENETRATION: "a slower tool, more room for the body, or a tool that is driven by forces",
+    Status.PENETRATION: "a slower tool, more room for the body, a tool driven by forces, or a finer mesh",
 }
 
 

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax.lowering.fusion import materialize
 from rewax.lowering.kernels import joined, pointwise, separated
 from rewax.lowering.recompute import recomputed
-from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.colliders import check_bodies, shape_pose
 from rewax.physics.contact.patches import WALLS
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.contact.vertex_checks import check_vectors
@@ -118,10 +119,13 @@ def deformation_gradient(scene: TetScene, x: Array) -> Array:
 def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None) -> Array:
     """Status bits of a state (non-finite numbers, flat or inverted tets) and of a scene (illegal numbers).
 
+    Contact acts on vertices. A collider that is smaller than the triangles between them can pass into a body without
+    any force; with its center inside of a tet it sets ``PENETRATION``.
+
     Args:
       scene: the scene.
       state: vertices.
-      poses: poses of its bodies, as for ``step``, to check that they are finite.
+      poses: poses of its bodies, as for ``step``, to check that they are finite, and for ``PENETRATION`` at the last.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -129,11 +133,29 @@ def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None)
     check_vertices(scene, state)
     state = jax.lax.stop_gradient(state)
     inverted = jnp.any(cp.det(deformation(scene, rest(scene), cp.split_vector(state.x))) <= 0)
+    pierced = jnp.asarray(False) if poses is None else _is_pierced(scene, state.x, Pose(*(a[-1] for a in poses)))
     return (
         flag(~all_finite(state), Status.NAN)
         | flag(inverted, Status.INVERTED)
+        | flag(pierced, Status.PENETRATION)
         | flag(has_invalid_parameters(scene, poses), Status.INVALID_PARAMETERS)
     )
+
+
+def _is_pierced(scene: TetScene, x: Array, bodies: Pose) -> Array:
+    """Whether the center of a collider, if it is solid there, lies inside of a tet, shape ()."""
+    corners = x[np.asarray(scene.topology.tets)]
+    a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
+    normals = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
+    volume = jnp.sum(a * normals[:, 0], axis=-1, keepdims=True)
+    found = jnp.asarray(False)
+    for collider in scene.colliders:
+        center = shape_pose(collider, body_pose(bodies, collider.body)).position
+        shares = jnp.einsum("nij,nj->ni", normals, center - corners[:, 0], precision="highest")
+        within = jnp.all(shares >= 0, axis=1) & (jnp.sum(shares, axis=1) <= volume[:, 0])
+        zero = jnp.zeros_like(center[0])
+        found |= jnp.any(within) & (collider.shape.distance((zero, zero, zero))[0] < 0)
+    return found
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_shapes import Torus
 from tet_bodies import (
     CONTACT,
     FLOOR,
@@ -293,3 +294,21 @@ def test_status_bits():
     assert status(scene, state.replace(x=state.x * jnp.array([1.0, -1.0, 1.0]))) == Status.INVERTED
     assert status(scene, state.replace(v=state.v.at[3, 1].set(jnp.nan))) == Status.NAN
     assert status(scene, state.replace(x=state.x.at[3, 1].set(jnp.inf))) & Status.NAN
+
+
+def test_a_tool_between_the_vertices_is_reported():
+    """A small ball meets no vertex of the face that it passes. A tool beside the body, or hollow, sets nothing."""
+    scene, state = body(contact=CONTACT)
+    status = jax.jit(tets.check_status)
+    tet = np.asarray(state.x)[np.asarray(scene.topology.tets)[0]]
+    middle, beyond = tet.mean(0), np.asarray(state.x).max(0) + 0.02
+    for shape, offset, position, found in (
+        (Sphere(radius=1e-3), jnp.zeros(3), middle, Status.PENETRATION),
+        (Sphere(radius=1e-3), jnp.asarray(middle - beyond), beyond, Status.PENETRATION),
+        (Sphere(radius=1e-3), jnp.zeros(3), beyond, Status.OK),
+        (Torus(ring=1.0, tube=0.1), jnp.zeros(3), middle, Status.OK),
+    ):
+        tool = Collider(shape=shape, offset=offset, friction=0.0)
+        held = scene.replace(colliders=(tool,))
+        poses = Pose(jnp.asarray(np.stack([beyond, position]))[:, None], jnp.broadcast_to(jnp.eye(3), (2, 1, 3, 3)))
+        assert status(held, state, poses=poses) == found
