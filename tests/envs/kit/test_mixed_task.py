@@ -108,7 +108,7 @@ def test_pictures_and_sensors_hold_both():
 
 def test_tools_of_the_cloth_alone_are_seen():
     """And those of the particles once, also where the cloth meets them, too."""
-    ball, box = (Collider(shape=Sphere(radius=0.01), body=body) for body in (0, 1))
+    ball, box = (Collider(shape=Sphere(radius=0.01), body=body, friction=0.4) for body in (0, 1))
     env = tray()
     env = env.replace(scene=env.scene.replace(thin=env.scene.thin.replace(colliders=(ball, box))))
     assert [collider.body for collider in env.seen_colliders] == [1, 0]
