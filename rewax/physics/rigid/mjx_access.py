@@ -8,6 +8,7 @@ below read and write them there. rewax calls only public functions of MJX, and r
 # pyright: reportArgumentType=false
 
 import contextlib
+import inspect
 import io
 import logging
 from typing import Any, NamedTuple
@@ -24,7 +25,6 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
     logging.disable(logging.WARNING)
     import mujoco
     from mujoco import mjx
-    from mujoco.mjx._src import support
 
     logging.disable(_level)
 
@@ -73,6 +73,7 @@ def actuator_moments(d: mjx.Data) -> Array:
 
 def tendon(m: mjx.Model, d: mjx.Data) -> mjx.Data:
     """``mjx.tendon`` with the way around geoms of ``tendon_wrap``, but for tendons that pass inside a geom."""
+    support = inspect.unwrap(mjx.tendon).__globals__["support"]  # the module in which mjx.tendon finds wrap
     theirs = support.wrap
 
     def wrapped(*args: Any) -> tuple[Array, Array, Array]:
@@ -82,7 +83,7 @@ def tendon(m: mjx.Model, d: mjx.Data) -> mjx.Data:
         length, *points = wrap(*(jnp.reshape(x, ()) if jnp.size(x) == 1 else x for x in geometry))
         return length[None], *points
 
-    support.wrap = wrapped  # mjx.tendon has no argument for it
+    support.wrap = wrapped
     try:
         return mjx.tendon(m, d)
     finally:
