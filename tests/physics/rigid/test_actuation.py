@@ -47,15 +47,25 @@ def forces(model, ctrl, qvel):
     return force + jnp.array([0.1, 0.0]) * qvel
 
 
-@pytest.mark.parametrize("qvel", ([0.0, 0.0], [0.4, -0.3]), ids=("at rest", "moving"))
+all_forces = jax.jit(forces, compiler_options=unoptimised())
+slopes = jax.jit(
+    lambda model, ctrl, qvel: [jacobian(forces, argnums=1)(model, ctrl, qvel) for jacobian in (jax.jacrev, jax.jacfwd)],
+    compiler_options=unoptimised(),
+)
+"""By controls, in reverse and forward: arrays of shape (num_dofs, num_actuators)."""
+REST, MOVING = np.zeros(2), np.array([0.4, -0.3])
+
+
+@pytest.mark.parametrize("qvel", (REST, MOVING), ids=("at rest", "moving"))
 def test_limited_forces_are_mujocos(x64, pulled, qvel):
     mj, model = pulled
     data = mujoco.MjData(mj)
-    at = jax.jit(lambda ctrl: forces(model, ctrl, jnp.asarray(qvel)), compiler_options=unoptimised())
     for name, ctrl in CONTROLS.items():
         data.qpos[:], data.qvel[:], data.ctrl[:] = [0.05, -0.1], qvel, ctrl
         mujoco.mj_forward(mj, data)
-        np.testing.assert_allclose(at(jnp.asarray(ctrl)), data.qfrc_actuator, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(
+            all_forces(model, np.array(ctrl), qvel), data.qfrc_actuator, atol=1e-12, err_msg=name
+        )
 
 
 def test_a_step_has_the_damping_of_mujoco_at_limits(x64, pulled):
@@ -72,20 +82,11 @@ def test_a_step_has_the_damping_of_mujoco_at_limits(x64, pulled):
         np.testing.assert_allclose(new.qvel, data.qvel, atol=1e-12, err_msg=name)
 
 
-def slopes(model, ctrl, qvel):
-    """By controls, in reverse and forward: arrays of shape (num_dofs, num_actuators)."""
-
-    def at(x):
-        return forces(model, x, jnp.asarray(qvel))
-
-    return [jax.jit(j(at), compiler_options=unoptimised())(jnp.asarray(ctrl)) for j in (jax.jacrev, jax.jacfwd)]
-
-
 def test_slopes_at_zero_force_of_a_limited_tendon(x64, pulled):
     """MJX divides the limit by this force, and its gradient is NaN."""
     moments = np.array([[1.0, 0.5], [1.0, 0.5], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     gains = np.array([2.0, 3.0, 1.0, 4.0, 1.0])  # the gear of a motor is in its moment
-    for slope in slopes(pulled[1], np.zeros(5), [0.0, 0.0]):
+    for slope in slopes(pulled[1], np.zeros(5), REST):
         np.testing.assert_allclose(slope, (gains[:, None] * moments).T, atol=1e-12)
 
 
@@ -95,7 +96,7 @@ def test_slopes_at_a_limit_are_those_of_the_inside(x64, pulled):
     at_limits = np.array(
         [0.0, 0.5, 2.0, 0.05, 0.0]
     )  # the tendon pulls with 1.5, the motor with 2, the joint turns with .6
-    for slope in slopes(model, at_limits, [0.0, 0.0]):
+    for slope in slopes(model, at_limits, REST):
         assert slope[0, 1] == 3.0 and slope[0, 2] == 1.0
 
 
@@ -147,9 +148,8 @@ def test_slopes_beyond_limits(x64, pulled):
     """Central differences; zero for an actuator beyond its range, not for those that share a limited tendon."""
     _, model = pulled
     for name in ("tendon above", "tendon below", "actuators"):
-        ctrl = np.asarray(CONTROLS[name])
-        at = jax.jit(lambda x: forces(model, x, jnp.array([0.4, -0.3])), compiler_options=unoptimised())
-        steps = 1e-6 * np.eye(5)
-        expected = np.stack([(at(ctrl + s) - at(ctrl - s)) / 2e-6 for s in steps], axis=1)
-        for slope in slopes(model, ctrl, [0.4, -0.3]):
+        ctrl, steps = np.array(CONTROLS[name]), 1e-6 * np.eye(5)
+        ends = [[all_forces(model, ctrl + side * step, MOVING) for step in steps] for side in (1, -1)]
+        expected = np.transpose(np.array(ends[0]) - np.array(ends[1])) / 2e-6
+        for slope in slopes(model, ctrl, MOVING):
             np.testing.assert_allclose(slope, expected, atol=1e-8, err_msg=name)
