@@ -28,7 +28,11 @@ def counted(program):
 def test_structural_zeros_and_ones_cost_nothing():
     table = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]], np.float32)
     assert counted(lambda a: (structural_zeros(jnp.asarray(table)) @ a, (a - 0.0) / 1.0)) == ["add"]
-    assert counted(lambda a: jax.vjp(lambda a: structural_zeros(jnp.asarray(table)) @ a, a)[1](a[:2])) == ["add"]
+
+    def transposed(a):
+        return jax.vjp(lambda a: structural_zeros(jnp.asarray(table)) @ a, a)[1](a[:2])
+
+    assert counted(transposed) == []  # each column has one 1, and no result needs the product itself
 
 
 def test_other_zeros_are_computed():
