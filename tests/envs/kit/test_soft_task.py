@@ -57,11 +57,14 @@ def test_a_tool_moves_linearly_and_pushes_what_it_meets():
     state = env.reset(jax.random.key(0))
     assert state.obs.keys() == {"particle_q", "com_q", "joint_q"}
     step = jax.jit(env.step)
+    statuses = []
     for i in range(8):
         state = step(state, jnp.array([2.0]))
         np.testing.assert_allclose(state.physics.joint_q, [-0.25 + 0.05 * (i + 1)], atol=1e-6)
+        statuses.append(int(state.status))
     assert float(state.metrics["reach"]) > 0.27
-    assert int(state.status) == rewax.Status.OK
+    # The tet weighs little and its contact is soft: the ball's center enters it in the seventh step.
+    assert statuses == [rewax.Status.OK] * 6 + [rewax.Status.PENETRATION] * 2
 
 
 @pytest.mark.slow
