@@ -4,7 +4,8 @@ With a short horizon, an iteration continues where the last one ended. With ``ho
 initial states and differentiates whole episodes.
 
 Source: Freeman et al. 2021, Brax; Wiedemann et al. 2023, "Training Efficient Controllers via Analytic Policy Gradient";
-settings as in Xing, Luk and Oh 2025, with the corrections named in ``rewax.agents.sapo``.
+settings as in Xing, Luk and Oh 2025, with the differences named in ``rewax.agents.sapo``.
+Point-cloud encoders are initialised with ``initial_gain`` (the square root of 2), like all layers. Theirs use 1.
 """
 
 import dataclasses

@@ -1,7 +1,8 @@
-"""Tuned configurations, by algorithm, environment and scale.
+"""Configurations by algorithm, environment and scale.
 
 SAPO's presets come first. The presets of other algorithms have the same networks, environments and number of control
-steps; their other settings are the defaults in ``rewax.agents.<algorithm>``.
+steps; their other settings are the defaults in ``rewax.agents.<algorithm>``. Those of ``small`` were adjusted by hand,
+with unequal numbers of trials for the algorithms (docs/measured/small_suite.md).
 """
 
 import dataclasses
@@ -52,7 +53,10 @@ _CARTPOLE = dataclasses.replace(_RUNNER, actor_widths=(64, 64), critic_widths=(6
 
 
 def _small(paper: SAPOConfig, **changes: Value) -> SAPOConfig:
-    """The same networks, with fewer environments and iterations, for two cores. Memory suffices for ``full``."""
+    """The same networks after a first layer for the observation, fewer environments and iterations, for two cores.
+
+    Memory suffices for ``full``.
+    """
     small = {"num_envs": 32, "num_iterations": 300, "vector_features": 64, "initial_temperature": 0.1}
     shared = {"stagger_episodes": True, "differentiate": "full"}
     return dataclasses.replace(paper, **{**small, **shared, **changes})

@@ -6,6 +6,7 @@ from rewax.agents.presets import (
     ahac_preset,
     apg_preset,
     demonstrated_preset,
+    ppo_preset,
     sapo_preset,
     shac_preset,
     trajopt_preset,
@@ -38,6 +39,8 @@ def test_networks_of_the_paper():
     ant, hand = (sapo_preset(name, "paper") for name in ("AntRun", "HandReorient"))
     assert (ant.num_envs, ant.actor_widths, ant.critic_widths) == (64, (128, 64, 32), (64, 64))
     assert (hand.num_envs, hand.actor_widths, hand.critic_widths) == (64, (512, 256), (256, 256))
+    assert ant.vector_features == hand.vector_features == 0
+    assert sapo_preset("AntRun", "small").vector_features == 64
 
 
 def test_other_algorithms_take_over_the_limit_of_each_environments_gradient():
@@ -68,7 +71,14 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
     for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
         for name in (*ACTOR, "target_decay"):
             assert getattr(config, name) == getattr(papers, name), name
-    assert shac_preset("AntRun", "paper").target_decay == 0.2
+    ant = shac_preset("AntRun", "paper")
+    assert (ant.target_decay, ant.critic_learning_rate) == (0.2, 2e-3)
+    assert shac_preset("RollingFlat", "paper").critic_learning_rate != 2e-3
+
+
+def test_the_last_layer_of_ppos_policy_begins_small():
+    for scale in ("small", "paper"):
+        assert ppo_preset("Hopper", scale).action_gain == 0.01
 
 
 def test_sequences_on_fluid_move_change_slowly():

@@ -21,12 +21,14 @@ def test_the_target_network_keeps_its_share_of_the_old_parameters():
     chex.assert_trees_all_close(new.target_params, expected, rtol=1e-5, atol=1e-7)
 
 
-def test_the_targets_come_from_the_target_network():
-    """Other parameters in the target network change the critics' loss."""
+def test_the_targets_come_from_the_target_network_and_the_actors_return_does_not():
+    """Other parameters in the target network change the critics' loss, but not the step of the actor."""
     start = agent("shac").init(jax.random.key(0))
     other = start.replace(target_params=jax.tree.map(lambda a: a + 0.3, start.target_params))
-    losses = [float(agent("shac").train_step(state)[1]["critic_loss"]) for state in (start, other)]
+    steps = [agent("shac").train_step(state) for state in (start, other)]
+    losses = [float(metrics["critic_loss"]) for _, metrics in steps]
     assert abs(losses[0] - losses[1]) > 1e-3
+    chex.assert_trees_all_equal(steps[0][0].actor_params, steps[1][0].actor_params)
 
 
 def test_without_entropy_and_with_its_settings_sapo_is_shac():
