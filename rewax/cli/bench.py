@@ -16,7 +16,8 @@ class Options:
     """Options.
 
     Attributes:
-      suite: smoke, small, thin, paper, paper_stale_mass, ablations, ablations_paper, or the path of a TOML file.
+      suite: smoke, small, thin, paper, paper_stale_mass, ablations, ablations_paper, successors, or the path
+        of a TOML file.
       imports: module or .py file that registers environments or algorithms.
       out: directory of the results, by default bench/<suite>; an interrupted benchmark continues there.
       tasks: only these of the suite's tasks.

@@ -12,7 +12,7 @@ from rewax.agents.registry import algorithm
 from rewax.envs import registry
 from rewax.envs.base import Env
 
-BUILT_IN = ("smoke", "small", "thin", "paper", "paper_stale_mass", "ablations", "ablations_paper")
+BUILT_IN = ("smoke", "small", "thin", "paper", "paper_stale_mass", "ablations", "ablations_paper", "successors")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
