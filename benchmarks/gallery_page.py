@@ -33,10 +33,11 @@ With empty caches the first command takes 12 s on two cores of an EPYC (one run)
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
 The tables show mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is one of the best of all algorithms and seeds whose weights are kept; TrajOpt finds sequences of actions, no policies.
-So its return is not that of [the suite](measured/small_suite.md), which
-compares all algorithms over several seeds. AntRun also has one at scale `paper`: `rewax play AntRun --scale paper`.
-Pictures and curves come from the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds, and from [cloth and ropes](cloth_tasks.md#returns).
+Each policy is one of the best of all algorithms and seeds whose weights are kept. TrajOpt finds sequences of actions,
+no policies. So a policy's return is not that of [the suite](measured/small_suite.md), which compares all algorithms
+over several seeds. AntRun also has one at scale `paper`: `rewax play AntRun --scale paper`. Pictures and curves come
+from the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds, and from
+[cloth and ropes](cloth_tasks.md#returns).
 In code, `rewax.load_policy("HandFlip")` loads a policy ([trained policies](adapters.md#trained-policies)).
 
     python benchmarks/ship_policies.py RUNS     # the best run of each task, checked, into rewax/policies
