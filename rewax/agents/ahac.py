@@ -7,7 +7,8 @@ Simulation" (ICML 2024). Differences:
   environment gives it: the logarithm of the factor by which the gradient of the state grows over a step.
 - All environments share one horizon. It moves by the mean excess of that growth, an earlier rule of the authors. Theirs
   has a multiplier for each step. The growth of a sum of equal rewards, whose gradient adds up, is no excess.
-- Rollouts have room for ``horizon`` steps. Beyond the adaptive horizon the environments stand still.
+- Rollouts have room for ``horizon`` steps. Beyond the adaptive horizon the environments stand still. These steps cost
+  nothing, but under ``vmap`` over seeds (``--num-seeds``) they are computed and left out.
 - A run has a given number of control steps, theirs of iterations. So the learning rates fall with the steps.
 - Critics are fitted with a fixed number of passes, theirs until the loss stays about the same, with 64 passes at most.
 - A minibatch of the critics has all steps of some environments, theirs some steps of all environments. Here the

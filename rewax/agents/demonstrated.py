@@ -24,6 +24,7 @@ from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
+import optax
 
 from rewax import struct
 from rewax.agents import sapo, trajopt
@@ -50,7 +51,10 @@ class DemonstratedConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
-      num_iterations: control steps of both phases, divided by ``horizon``. The first phase has longer iterations.
+      num_iterations: control steps of both phases, divided by ``horizon``. The first phase has longer iterations. A run
+        that is resumed in its second phase with a larger number stays in it.
+      max_env_grad_norm: limit in the second phase. The sequence's gradient has none, as in ``trajopt``'s presets: it is
+        that of a whole episode's return by actions.
       demonstration_share: share of the control steps that the first phase gets.
       sequence_learning_rate: learning rate of Adam for the sequence.
       cloning_learning_rate, cloning_passes: learning rate of the actor's regression, and its passes over the data of
@@ -89,7 +93,6 @@ class DemonstratedConfig(SAPOConfig):
         return TrajOptConfig(
             num_envs=self.num_envs,
             learning_rate=self.sequence_learning_rate,
-            max_env_grad_norm=self.max_env_grad_norm,
             state_gradient_decay=self.state_gradient_decay,
             truncate_every=self.truncate_every,
         )
@@ -164,7 +167,13 @@ def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[De
         return new, {name: metrics.get(name, _absent(s)).astype(s.dtype) for name, s in everything.items()}
 
     branches = (functools.partial(completed, phase) for phase in phases)
-    return jax.lax.cond(state.iteration < config.demonstrations(env), *branches, state)
+    still = (state.iteration < config.demonstrations(env)) & (shown_so_far(state) == state.iteration)
+    return jax.lax.cond(still, *branches, state)
+
+
+def shown_so_far(state: DemonstratedState) -> Array:
+    """Number of iterations of the first phase so far, shape (): Adam's count of updates of the sequence."""
+    return optax.tree.get(state.actions_opt, "count")
 
 
 def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
@@ -176,7 +185,7 @@ def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> 
 
     loss = functools.partial(trajopt.sequence_loss, config=config.sequence)
     losses, (end, t), grads = per_env_gradients(loss, state.actions, state.common(), state.environments, loss_key)
-    grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
+    grad, metrics = mean_gradient(losses, grads)
     actions, opt = apply(config.sequence.optimizer, grad, state.actions_opt, state.actions)
     actions = jnp.clip(actions, env.action_spec.low, env.action_spec.high)
 
@@ -196,7 +205,7 @@ def reinforcement_step(config: DemonstratedConfig, state: DemonstratedState) -> 
     env = state.environments.env.first()
     options = config.second_phase(env)
     fresh = critic_optimizer(make_actor_critic(env, options)).init(state.critic_params)
-    begins = state.iteration == config.demonstrations(env)
+    begins = state.iteration == shown_so_far(state)
     opt = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, state.critic_opt)
     return sapo.train_step(options, state.replace(critic_opt=opt))
 

@@ -11,9 +11,12 @@ EPSILON = 1e-5
 WINSOR_WIDTH = 10.0
 """Samples are clipped to the wider of two ranges: this many standard deviations around the running mean, or this many
 interquartile ranges beyond the quartiles of their batch."""
+RARE_WIDTH = 100.0
+"""The same where the quartiles of a batch are equal, as for forces of contacts that are rare. A component that is not
+zero in a share p of the samples lies 1/sqrt(p) deviations from its mean there. With a smaller width the deviation of
+clipped samples would shrink with every update. With this one it does not for p above 1e-4."""
 NEVER_CLIPPED = 1.0
-"""Distance from the running mean within which no sample is clipped. Flags that are rarely set need it: their quartiles
-are equal, and a deviation of clipped samples would shrink with every update."""
+"""Distance from the running mean within which no sample is clipped, for flags that are set even more rarely."""
 
 
 @struct.dataclass
@@ -158,7 +161,9 @@ def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) ->
 def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, variance: Array) -> Array:
     """Samples clipped to the usual range. Masked samples are zero."""
     low, high = jnp.where(jnp.any(keep), quartiles, mean)
-    reach, between = jnp.maximum(WINSOR_WIDTH * jnp.sqrt(variance), NEVER_CLIPPED), high - low
+    between = high - low
+    width = jnp.where(between > 0, WINSOR_WIDTH, RARE_WIDTH)
+    reach = jnp.maximum(width * jnp.sqrt(variance), NEVER_CLIPPED)
     low = jnp.minimum(mean - reach, low - WINSOR_WIDTH * between)
     high = jnp.maximum(mean + reach, high + WINSOR_WIDTH * between)
     return jnp.where(keep.reshape(-1, *[1] * (batch.ndim - 1)), jnp.clip(batch, low, high), 0.0)

@@ -61,7 +61,9 @@ class PPOConfig(ActorCriticConfig):
       epochs, minibatches: passes over each iteration's data, and minibatches per pass; shuffled in each pass.
       value_coefficient: weight of half the squared error of the values.
       entropy_coefficient: weight of the entropy of the normal distribution before its tanh.
-      target_kl: KL divergence per epoch towards which the learning rate is adapted; None: a fixed learning rate.
+      target_kl: KL divergence towards which the learning rate is adapted; None: a fixed learning rate. Each pass over
+        the data takes the mean over its minibatches, before their updates. So the first minibatch of an iteration adds
+        0, and with one minibatch the rate rises after the first pass of every iteration.
       learning_rate_range: limits of the learning rate.
       normalize_values: the critic predicts returns minus their running mean, in units of their running deviation.
     """

@@ -78,11 +78,12 @@ def run(argv: Sequence[str]) -> int:
     signum = run_study(task, space, env, out_dir, options.trials, console)
     best = best_trial(open_study(out_dir), space)
     if best is not None:
-        table = as_toml(task, best.values)
+        steps = task.control_steps(env)
+        table = as_toml(task, best.values, steps)
         with replacing(out_dir / "best.toml") as unfinished:
             unfinished.write_text(table)
         console.print(f"best of the trials in {out_dir}: trial {best.number}, mean return {best.mean:.6g}\n")
-        console.print(f"{as_command(task, best.values, options.imports)}\n\n{table}", markup=False, end="")
+        console.print(f"{as_command(task, best.values, steps, options.imports)}\n\n{table}", markup=False, end="")
     elif not signum:
         console.print(f"no trial was completed: {out_dir / 'trials.csv'} says why")
     return 128 + signum if signum else int(best is None)

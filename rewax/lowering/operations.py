@@ -247,7 +247,8 @@ class Operations:
     def converted_value(self, value: Any, of: str, kind: str) -> Any:
         if kind in _BITS and of == "f":
             least, most = (0, 2**32 - 1) if kind == "u" else (-(2 ** (_BITS[kind] - 1)), 2 ** (_BITS[kind] - 1) - 1)
-            return 0 if np.isnan(value) else least if value <= least else int(min(value, most))
+            # In single precision the largest integer is rounded up: compare Python's numbers.
+            return 0 if np.isnan(value) else least if value <= least else most if float(value) > most else int(value)
         if kind in _BITS:
             return wrapped(int(value), kind)
         return bool(value) if kind == "b" else value

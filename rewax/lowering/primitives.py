@@ -61,6 +61,17 @@ def _convert(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     return b.map(lambda a: b.converted(a, kind), *args)
 
 
+def _pow(b: Operations, eqn: Equation, args: list[Values]) -> Values:
+    """Constant integers as exponents, as in ``x ** jnp.arange(3)``, become products."""
+
+    def one(base: int, exponent: int) -> int:
+        if b.kind_of(eqn.out.dtype) == b.listed[exponent].kind or exponent not in b.constants:
+            return b.apply("pow", base, exponent)
+        return b.power(base, int(b.constants[exponent]))
+
+    return b.map(one, *args)
+
+
 def _integer_pow(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     return b.map(lambda a: b.power(a, eqn.params["y"]), *args)
 
@@ -236,6 +247,7 @@ PRIMITIVES: dict[str, Primitive] = {
     "add_any": _named("", functools.partial(elementwise, name="add")),
     "abs": _named("", _abs),
     "convert_element_type": _named("new_dtype", _convert),
+    "pow": _named("", _pow),
     "integer_pow": _named("y", _integer_pow),
     "square": _named("", _square),
     "one_minus_square": _named("", _one_minus_square),

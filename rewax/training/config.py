@@ -26,8 +26,9 @@ class ReportConfig:
       video: with ``plots``, also write the episode as a video and as a page for a browser.
       tensorboard: write TensorBoard event files beside the CSV files.
       wandb: Weights & Biases project that receives the metrics too (needs rewax[wandb]); empty: none.
-      max_failed_share: share of numerically failed episodes above which the run stops; 1: never stop.
-      failure_window: number of last iterations over which that share is computed.
+      max_failed_share: share of numerically failed episodes, or of environments without a finite gradient, above which
+        the run stops; 1: never stop.
+      failure_window: number of last iterations over which these shares are computed.
     """
 
     log_every: Count = 1

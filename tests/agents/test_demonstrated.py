@@ -11,6 +11,7 @@ from agent_cases import CASES, ENV, agent
 from rewax.agents.actor_critic import make_actor_critic
 from rewax.agents.demonstrated import DemonstratedConfig, clone, cloning_loss, make_demonstrated
 from rewax.agents.presets import demonstrated_preset, sapo_preset
+from rewax.agents.registry import make_agent
 from rewax.agents.rollout import Transition, first_episode
 from rewax.envs import make
 
@@ -49,6 +50,19 @@ def test_the_policy_does_what_the_sequence_does_when_the_second_phase_begins():
     assert counts() == {each}, "the critics' learning rate begins anew"
     assert int(state.env_steps) == one * 5 * 4 + 4 * 4 and np.isfinite(metrics["entropy"])
     np.testing.assert_array_equal(state.actions, before)
+
+
+def test_a_run_with_more_iterations_stays_in_its_second_phase():
+    """With 40 iterations instead of 10 the first phase would have 16 instead of 4."""
+    config = CASES[NAME].config
+    state, one = agent(NAME).init(jax.random.key(0)), config.demonstrations(ENV)
+    for _ in range(one + 1):
+        state, _ = agent(NAME).train_step(state)
+    longer = dataclasses.replace(config, num_iterations=4 * config.num_iterations)
+    assert int(state.iteration) == one + 1 < longer.demonstrations(ENV)
+    new, metrics = make_agent(NAME, ENV, longer).train_step(state)
+    np.testing.assert_array_equal(new.actions, state.actions)
+    assert np.isfinite(metrics["entropy"]) and np.isnan(metrics["cloning_loss"])
 
 
 def test_cloning_loss_is_a_mean_squared_error():

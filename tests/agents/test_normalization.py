@@ -113,16 +113,23 @@ def test_a_wild_observation_in_the_first_batch_of_few_is_held_too():
     assert got.mean["x"] < 1200.0 and np.isfinite(got.variance["x"])
 
 
+@pytest.mark.parametrize("size", [1.0, 50.0])
 @pytest.mark.parametrize("share", [0.002, 0.005, 0.05])
-def test_a_flag_that_is_rarely_set_has_its_true_statistics(share):
+def test_a_flag_or_force_that_is_rare_has_its_true_statistics(share, size):
     """Its quartiles are equal, so only the deviation says what is usual."""
-    flags = np.random.default_rng(0).random((200, 512, 1)) < share
+    values = size * (np.random.default_rng(0).random((200, 512, 1)) < share)
     update = jax.jit(update_statistics)
     got = init_statistics({"x": ArraySpec((1,))})
-    for batch in flags.astype(np.float32):
+    for batch in values.astype(np.float32):
         got = update(got, {"x": batch})
-    np.testing.assert_allclose(got.mean["x"], flags.mean(), rtol=0.01)
-    np.testing.assert_allclose(got.variance["x"], flags.var(), rtol=0.01)
+    np.testing.assert_allclose(got.mean["x"], values.mean(), rtol=0.01)
+    np.testing.assert_allclose(got.variance["x"], values.var(), rtol=0.01)
+
+
+def test_one_wild_number_among_equal_ones_is_held():
+    batches = [np.zeros((512, 1), np.float32) for _ in range(20)]
+    batches[5][7] = 1e20
+    assert learnt(batches).variance["x"] < 1.0
 
 
 def test_observations_of_four_axes_are_vectors():

@@ -23,6 +23,9 @@ FUNCTIONS = {
     "divides": lambda a: (a.astype(jnp.int32) // 3 + jax.lax.rem(a.astype(jnp.int32), 2)).astype(float),
     "switch": lambda a: jax.lax.switch(jnp.where(a > 0, 2, 0) + (a > 1), [lambda: 1.0, lambda: 2.0, lambda: 3.0]) * a,
     **{f"slope_of_{f.__name__}": jax.grad(f) for f in (jnp.tanh, jnp.arcsin, jnp.arccos, jnp.arctanh, jnp.arctan)},
+    "powers": lambda a: jnp.sum(a ** jnp.arange(5)) + a ** jnp.int32(-1),
+    "slope_of_powers": jax.grad(lambda a: jnp.sum(a ** jnp.arange(5))),
+    "too_large": lambda a: 1.0 * jnp.maximum(a.astype(jnp.int32), jnp.full((), 2.0**31).astype(jnp.int32)),
     "precision": lambda a: jax.lax.reduce_precision(a, 8, 23),
 }  # fmt: skip
 

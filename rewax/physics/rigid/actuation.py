@@ -1,6 +1,7 @@
-"""Forces of actuators: MJX's, but for limits and the activation of muscles, whose derivatives in MJX are wrong.
+"""Forces of actuators: MJX's, but for limits, the activation of muscles, and servos of ball joints.
 
-At a limit they are half of what they should be, or not finite. Those of muscles overflow in single precision.
+At a limit MJX's derivatives are half of what they should be, or not finite. Those of muscles overflow in single
+precision. MJX takes a servo with a filter the long way around, MuJoCo 4.0 the short one.
 """
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
@@ -25,11 +26,15 @@ from rewax.types import Array
 ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions of actuators that act on one joint."""
 _INTEGRATOR, _MUSCLE = int(mujoco.mjtDyn.mjDYN_INTEGRATOR), int(mujoco.mjtDyn.mjDYN_MUSCLE)
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _FORCE_LIMITS = ("actuator_forcelimited", "tendon_actfrclimited", "jnt_actfrclimited")
 
 
 def actuated(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
     """``mjx.fwd_actuation`` with exact derivatives at limits of controls and of forces.
+
+    The activations of ``d`` become those that the forces had: set points of ball joints are turned by whole turns to be
+    nearest to the joint.
 
     Gradient: exact, zero beyond a limit and that of the inside at it. MJX's is half of that, and not finite for a
     limited tendon at zero force. Source of the limits' order: MuJoCo, ``mj_fwdActuation``.
@@ -81,13 +86,14 @@ def actuator_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 
 
 def _without_force_limits(mj: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
-    """``mjx.fwd_actuation`` with limits of controls only, and with rates of muscles of our own."""
+    """``mjx.fwd_actuation`` with limits of controls only, and with our own set points and rates of muscles."""
     if np.any(mj.actuator_ctrllimited) and not is_disabled(mj, "CLAMPCTRL"):
         low, high = m.actuator_ctrlrange.T
         ctrl = jnp.where(mj.actuator_ctrllimited != 0, clipped(d.ctrl, low, high), d.ctrl)
         unclamped = m.opt.disableflags | int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         m, d = m.replace(opt=m.opt.replace(disableflags=unclamped)), d.replace(ctrl=ctrl)
     m = m.replace(**{name: np.zeros_like(getattr(m, name)) for name in _FORCE_LIMITS})
+    d = _with_nearest_set_points(mj, m, d)
     muscles = np.flatnonzero(mj.actuator_dyntype == _MUSCLE)
     if len(muscles) == 0:
         return mjx.fwd_actuation(m, d)
@@ -96,6 +102,75 @@ def _without_force_limits(mj: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> mjx.
     rates = muscle_rates(d.ctrl[muscles], d.act[own], m.actuator_dynprm[muscles])
     d = mjx.fwd_actuation(m.replace(actuator_dyntype=kinds), d)
     return d.replace(act_dot=d.act_dot.at[own].set(rates))
+
+
+def next_activations(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
+    """Activations after a substep, from the ``act`` and ``act_dot`` of ``actuated``, shape (num_activations,).
+
+    Gradient: exact, as in ``actuated``. Source: MuJoCo, ``mj_nextActivation``.
+    """
+    mj = model.static.mj
+    if not mj.na:
+        return d.act
+    actuator = _of_activations(mj)
+    exact = mj.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_FILTEREXACT
+    tau = np.maximum(mj.actuator_dynprm[actuator, 0], mujoco.mjMINVAL)
+    span = np.where(exact, tau * -np.expm1(-mj.opt.timestep / tau), mj.opt.timestep)
+    limited = mj.actuator_actlimited[actuator].astype(bool)
+    low, high = (np.where(limited, mj.actuator_actrange[actuator, i], (-np.inf, np.inf)[i]) for i in (0, 1))
+    low, high, span = (jnp.asarray(a, d.act.dtype) for a in (low, high, span))
+    turning = np.flatnonzero(_turns(mj)[actuator])
+    act = d.act + span * d.act_dot
+    if len(turning):
+        own = actuator[turning]
+        act = act.at[turning].set(_nearest(act[turning], d.actuator_length[own], _periods(m)[own]))
+    return clipped(act, low, high)
+
+
+def _of_activations(mj: mujoco.MjModel) -> np.ndarray:
+    """The actuator of each activation, shape (num_activations,)."""
+    return np.repeat(np.arange(mj.nu), np.maximum(mj.actuator_actnum, 0))
+
+
+def _turns(mj: mujoco.MjModel) -> np.ndarray:
+    """Which actuators are servos of ball joints, whose set points are angles, shape (num_actuators,), bool."""
+    if not mj.njnt:
+        return np.zeros(mj.nu, bool)
+    ball = mj.jnt_type[np.clip(mj.actuator_trnid[:, 0], 0, mj.njnt - 1)] == int(mujoco.mjtJoint.mjJNT_BALL)
+    fixed = mj.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    affine = mj.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    servo = fixed & affine & (mj.actuator_gainprm[:, 0] == -mj.actuator_biasprm[:, 1])
+    return ball & np.isin(mj.actuator_trntype, ON_JOINT) & servo & (mj.actuator_dyntype != _MUSCLE)
+
+
+def _periods(m: mjx.Model) -> Array:
+    """Lengths of whole turns of ball joints [1], shape (num_actuators,)."""
+    return 2.0 * jnp.pi * jnp.sqrt(jnp.sum(m.actuator_gear[:, :3] ** 2, axis=1))
+
+
+def _nearest(value: Array, goal: Array, period: Array) -> Array:
+    """The value plus whole periods that is nearest to the goal. Gradient: that of the value."""
+    turns = jax.lax.stop_gradient((value - goal) / period)
+    return value - period * jnp.sign(turns) * jnp.floor(jnp.abs(turns) + 0.5)
+
+
+def _with_nearest_set_points(mj: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """Activations nearest to their ball joint, and controls nearest to what follows them: activation or joint."""
+    turns = _turns(mj)
+    if not np.any(turns):
+        return d
+    period, last = _periods(m), mj.actuator_actadr + mj.actuator_actnum - 1
+    stored, ctrl, act = np.flatnonzero(turns & (mj.actuator_actadr >= 0)), d.ctrl, d.act
+    if len(stored):
+        own = last[stored]
+        act = act.at[own].set(_nearest(act[own], d.actuator_length[stored], period[stored]))
+    goal = d.actuator_length
+    filtered, direct = (np.flatnonzero(turns & kind) for kind in (np.isin(mj.actuator_dyntype, _FILTERS), last < 0))
+    if len(filtered):
+        goal = goal.at[filtered].set(act[last[filtered]])
+    followed = np.concatenate([filtered, direct])
+    ctrl = ctrl.at[followed].set(_nearest(ctrl[followed], goal[followed], period[followed]))
+    return d.replace(ctrl=ctrl, act=act)
 
 
 def muscle_rates(ctrl: Array, act: Array, parameters: Array) -> Array:
@@ -144,4 +219,4 @@ def _tendon_forces(mj: mujoco.MjModel, m: mjx.Model, force: Array) -> tuple[np.n
     return pulls, pulls @ force, *m.tendon_actfrcrange[limited].T
 
 
-__all__ = ["ON_JOINT", "actuated", "actuator_damping", "muscle_rates"]
+__all__ = ["ON_JOINT", "actuated", "actuator_damping", "muscle_rates", "next_activations"]

@@ -16,7 +16,7 @@ from rewax.physics.numerics.rotations import (
     quaternion_to_matrix,
     rotation_vector,
 )
-from rewax.physics.rigid.actuation import ON_JOINT, actuated, actuator_damping
+from rewax.physics.rigid.actuation import ON_JOINT, actuated, actuator_damping, next_activations
 from rewax.physics.rigid.box_box import box_box
 from rewax.physics.rigid.capsules import capsule_capsule
 from rewax.physics.rigid.collide import collide
@@ -112,7 +112,7 @@ def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array)
 def applied_forces(
     model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, wrenches: Array
 ) -> tuple[Array, Array]:
-    """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); time derivative of ``act``."""
+    """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); ``act`` after a substep."""
     topology = model.static.topology
     twist = body_velocities(topology, kin, d.qvel)
     springless = m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness))
@@ -131,7 +131,7 @@ def applied_forces(
         limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
         found = limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof])
         force = force + scatter(dof, found, model.num_dofs)
-    return force, d.act_dot
+    return force, next_activations(model, m, d)
 
 
 def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:

@@ -179,6 +179,12 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
         raise ValueError("the model has noslip_iterations, which are not supported: load(..., noslip_iterations=0)")
     if mj.opt.enableflags & getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0):
         raise ValueError('the model lets bodies sleep, which is not supported: load(..., flags={"sleep": False})')
+    for flag in ("OVERRIDE", "DIAGEXACT", "SPECULATIVE"):
+        if mj.opt.enableflags & int(getattr(mujoco.mjtEnableBit, f"mjENBL_{flag}", 0)):
+            name = flag.lower()
+            raise ValueError(
+                f'the model enables the flag {name}, which is not supported: load(..., flags={{"{name}": False}})'
+            )
     if mj.opt.disableactuator:
         raise ValueError("the model has an actuatorgroupdisable, which is not supported: remove it, or the actuators")
 

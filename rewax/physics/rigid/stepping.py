@@ -19,7 +19,6 @@ import numpy as np
 
 from rewax.lowering.machine import interpreted
 from rewax.physics.numerics.arguments import check_instance, check_integer, real_array
-from rewax.physics.numerics.clipping import clipped
 from rewax.physics.rigid import solver as constraint_solver
 from rewax.physics.rigid.forces import (
     applied_forces,
@@ -30,7 +29,7 @@ from rewax.physics.rigid.forces import (
     velocity_damping,
 )
 from rewax.physics.rigid.kinematics import Kinematics, integrate
-from rewax.physics.rigid.mjx_access import mjx, mujoco
+from rewax.physics.rigid.mjx_access import mjx
 from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, check_state
 from rewax.physics.rigid.parameter_checks import has_invalid_parameters
 from rewax.physics.rigid.small_products import dot
@@ -188,7 +187,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         topology, parameters = model.static.topology, tree_parameters(model)
         kin = kinematics(model, state.qpos)
         m, d = mjx_data(model, kin, state, ctrl)
-        applied, act_dot = applied_forces(model, kin, m, d, wrenches)
+        applied, act = applied_forces(model, kin, m, d, wrenches)
         rows = constraint_rows(model, kin, m, d)
         still = jnp.zeros_like(state.qvel)
         force = applied - inverse_dynamics(topology, parameters, kin, state.qvel, still, model.gravity)
@@ -205,7 +204,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         if model.static.has_damping:
             total = force + rows.jacobian.T @ constraint_solver.row_forces(rows, qacc)
             rate = constraint_solver.solve_spd(_damped(model, kin, m, d, mass, qacc)[0], total)
-        return _advance(model, state, act_dot, qacc, rate, jnp.maximum(state.unsolved, unsolved)), rate
+        return _advance(model, state, act, qacc, rate, jnp.maximum(state.unsolved, unsolved)), rate
 
 
 def _acceleration_derivative(
@@ -217,7 +216,7 @@ def _acceleration_derivative(
         qacc, unsolved, rate = jax.lax.stop_gradient((known[0].qacc, known[0].unsolved, known[1]))
         kin = kinematics(model, state.qpos)
         m, d = mjx_data(model, kin, state, ctrl)
-        applied, act_dot = applied_forces(model, kin, m, d, wrenches)
+        applied, act = applied_forces(model, kin, m, d, wrenches)
         rows = constraint_rows(model, kin, m, d)
         mass = mass_matrix(topology, *jax.lax.stop_gradient((parameters, kin)))
 
@@ -236,7 +235,7 @@ def _acceleration_derivative(
             held = constraint_solver.row_forces(rows, solved)
             damped, damping = _damped(model, kin, m, d, mass, rate)
             solved = rate - correction(damped, needed[1] + damping, held, not len(model.static.lone_dofs))
-        return _advance(model, state, act_dot, qacc, solved, unsolved), solved
+        return _advance(model, state, act, qacc, solved, unsolved), solved
 
 
 _substep = interpreted(_accelerate, derivative_of=_acceleration_derivative)
@@ -259,31 +258,15 @@ def _damped(
     return mass + model.dt * damping, model.dt * dot(damping, rate)
 
 
-def _advance(
-    model: RigidModel, state: RigidState, act_dot: Array, qacc: Array, rate: Array, unsolved: Array
-) -> RigidState:
+def _advance(model: RigidModel, state: RigidState, act: Array, qacc: Array, rate: Array, unsolved: Array) -> RigidState:
     qvel = state.qvel + model.dt * rate
     return RigidState(
         qpos=integrate(model.static.topology, state.qpos, qvel, model.dt),
         qvel=qvel,
-        act=_next_activations(model, state.act, act_dot),
+        act=act,
         qacc=jax.lax.stop_gradient(qacc),
         unsolved=jax.lax.stop_gradient(unsolved),
     )
-
-
-def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
-    mj = model.static.mj
-    if not mj.na:
-        return act
-    actuator = np.repeat(np.arange(mj.nu), np.maximum(mj.actuator_actnum, 0))
-    exact = mj.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_FILTEREXACT
-    tau = np.maximum(mj.actuator_dynprm[actuator, 0], mujoco.mjMINVAL)
-    span = np.where(exact, tau * -np.expm1(-mj.opt.timestep / tau), mj.opt.timestep)
-    limited = mj.actuator_actlimited[actuator].astype(bool)
-    low, high = (np.where(limited, mj.actuator_actrange[actuator, i], (-np.inf, np.inf)[i]) for i in (0, 1))
-    low, high, span = (jnp.asarray(a, act.dtype) for a in (low, high, span))
-    return clipped(act + span * act_dot, low, high)
 
 
 __all__ = ["check_status", "checked_inputs", "forgotten", "initial_state", "rates", "step"]

@@ -1,5 +1,6 @@
 """Evaluations and pictures of a run, and their files."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from rewax.training.config import ReportConfig
 from rewax.training.evaluation.pictures import attempt, draw_page, draw_strip, draw_video, reason
 from rewax.training.evaluation.programs import MODES, Programs
 from rewax.training.evaluation.recording import can_record
+from rewax.training.storage.leaves import to_numpy
 from rewax.training.storage.metrics import CsvWriter, read_csv
 from rewax.types import Key
 from rewax.whole_files import replacing
@@ -65,12 +67,15 @@ class Evaluator:
         """Mean returns of zero actions and of random actions from the same initial states, kept in ``baselines.json``.
 
         Both use the program that was compiled for ``evaluate``, so they need a training state. The name of a baseline
-        tells how many of its episodes failed.
+        tells how many of its episodes failed. A resumed run with another number of episodes, or with an environment of
+        other parameters, measures them anew.
         """
-        path = self._run_dir / "baselines.json"
+        path, of = self._run_dir / "baselines.json", self._measured_on()
         try:
-            return {str(name): float(value) for name, value in json.loads(path.read_text()).items()}
-        except (OSError, ValueError, TypeError, AttributeError):  # missing or damaged
+            stored = json.loads(path.read_text())
+            if stored.pop("of") == of:
+                return {str(name): float(value) for name, value in stored.items()}
+        except (OSError, ValueError, TypeError, AttributeError, KeyError):  # missing or damaged
             pass
         returns = {}
         for name in MODES[2:]:
@@ -78,8 +83,15 @@ class Evaluator:
             count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
             returns[name + count] = float(result["mean"])
         with replacing(path) as unfinished:
-            unfinished.write_text(json.dumps(returns, indent=2) + "\n")
+            unfinished.write_text(json.dumps({**returns, "of": of}, indent=2) + "\n")
         return returns
+
+    def _measured_on(self) -> dict[str, Any]:
+        """What the returns of baselines depend on: episodes, and the environment's arrays."""
+        arrays = hashlib.sha256()
+        for leaf in jax.tree.leaves(self._env):
+            arrays.update(to_numpy(leaf).tobytes())
+        return {"episodes": self._config.num_eval_episodes, "environment": arrays.hexdigest()[:16]}
 
     def sentences(self, row: Mapping[str, Any]) -> list[str]:
         """An evaluation in sentences: returns, number of failed episodes, status bits."""

@@ -1,4 +1,4 @@
-"""Failure detection: share of failed episodes, non-finite critic loss or non-finite learnt parameters."""
+"""Failure detection: shares of failed episodes and of dropped gradients, non-finite critic loss or parameters."""
 
 import itertools
 import math
@@ -18,21 +18,26 @@ from rewax.training.loop.devices import on_one_device
 
 _NOT_LEARNT = (State, Replay)
 _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
+_GRADIENT_REMEDY = (
+    "a shorter horizon or truncate_every helps if derivatives overflow, and rewax.testing.check_env finds NaN in them"
+)
 
 
 class _Iteration(NamedTuple):
     """Counts of one iteration.
 
-    ``episodes`` is the larger of two numbers: ended episodes, and steps divided by the episode length.
+    ``episodes`` is the larger of two numbers: ended episodes, and steps divided by the episode length. ``dropped`` is
+    the number of environments whose gradient was left out of the mean.
     """
 
     failed: int
     episodes: float
+    dropped: int
     bad_critics: bool
 
 
 class FailureWatch:
-    """Detects from a run's metrics that too many episodes fail or that the critic loss is not finite.
+    """Detects from a run's metrics that too many episodes fail, gradients are dropped, or critic losses are not finite.
 
     The share of failed episodes is computed over the last ``config.failure_window`` iterations. Failures end episodes
     early. Among ended episodes alone, a few failures would therefore outweigh the healthy episodes still running. The
@@ -41,13 +46,15 @@ class FailureWatch:
     Args:
       env: environment of the run; it gives the episode length and the names of non-finite arrays.
       config: its ``max_failed_share`` and ``failure_window`` are used.
+      num_envs: number of environments, each with a gradient; 0: not known, and dropped gradients stop no run.
     """
 
-    def __init__(self, env: Env, config: ReportConfig) -> None:
-        self._env, self._config = env, config
+    def __init__(self, env: Env, config: ReportConfig, num_envs: int = 0) -> None:
+        self._env, self._config, self._num_envs = env, config, num_envs
         self._recent: deque[_Iteration] = deque(maxlen=config.failure_window)
         self._culprit = ""
-        self._warned = self._resumes_failure = False
+        self._warned: set[str] = set()
+        self._resumes_failure = False
 
     def add(self, iteration: int, num_steps: int, metrics: Mapping[str, Any]) -> str:
         """Add an iteration.
@@ -55,21 +62,29 @@ class FailureWatch:
         Args:
           iteration: its number.
           num_steps: environment steps of this iteration.
-          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``. Each
-            is optional.
+          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``,
+            ``dropped_gradients``. Each is optional.
 
         Returns:
-          A warning at the first failure since this process began; otherwise an empty string.
+          A warning at the first failed episode and at the first dropped gradient since this process began; otherwise
+          an empty string.
         """
         failed = int(metrics.get("failed_episodes", 0))
         ended = max(int(metrics.get("episodes", 0)), failed)
         critics = [float(value) for name, value in metrics.items() if name == "critic_loss"]
         episodes = max(ended, num_steps / max(self._env.episode_length, 1))
-        self._recent.append(_Iteration(failed, episodes, not all(map(math.isfinite, critics))))
-        if not failed:
-            return ""
-        first, self._warned, self._culprit = not self._warned, True, _culprit(self._env, metrics)
-        return f"warning: in iteration {iteration} {self._culprit}: {_REMEDY}" if first else ""
+        dropped = int(metrics.get("dropped_gradients", 0))
+        self._recent.append(_Iteration(failed, episodes, dropped, not all(map(math.isfinite, critics))))
+        warnings = {}
+        if failed:
+            self._culprit = _culprit(self._env, metrics)
+            warnings["failed"] = f"{self._culprit}: {_REMEDY}"
+        if dropped:
+            which = "1 environment was" if dropped == 1 else f"{dropped} environments were"
+            warnings["dropped"] = f"{which} left out of the gradient, because theirs was not finite: {_GRADIENT_REMEDY}"
+        new = [f"warning: in iteration {iteration} {warnings[kind]}" for kind in warnings if kind not in self._warned]
+        self._warned |= set(warnings)
+        return "\n".join(new)
 
     def recall(self, columns: Mapping[str, np.ndarray], iteration: int) -> None:
         """Add the iterations before a resumed one, so that the run stops where it would have without the interruption.
@@ -82,7 +97,7 @@ class FailureWatch:
         """
         for row in _rows_before(columns, iteration, self._config.failure_window):
             self.add(int(row["iteration"]), int(row["num_steps"]), row)
-        self._warned = False
+        self._warned = set()
         if self.reason():
             self._recent.clear()
             self._resumes_failure = True
@@ -91,12 +106,13 @@ class FailureWatch:
     def healthy(self) -> bool:
         """Whether there is no reason to stop, also before the window is full.
 
-        The last iteration's share of failed episodes is checked on its own, too.
+        The last iteration's shares of failed episodes and dropped gradients are checked on their own, too.
         """
         if not self._recent:
             return not self._resumes_failure
-        last = [self._recent[-1]] if self._recent else []
-        return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
+        last = self._recent[-1]
+        dropped = self._num_envs and self._too_many(last.dropped, self._num_envs)
+        return not (dropped or self._too_many(last.failed, last.episodes) or self.reason(final=True))
 
     def reason(self, *, final: bool = False) -> str:
         """Why the run should stop; an empty string if it should continue.
@@ -113,6 +129,12 @@ class FailureWatch:
             return (
                 f"{failed} of {max(round(episodes), failed)} episodes failed numerically in the last {seen} iterations "
                 f"(max_failed_share is {limit:g}); at last {self._culprit}: {_REMEDY}"
+            )
+        dropped, gradients = sum(one.dropped for one in self._recent), seen * self._num_envs
+        if gradients and self._too_many(dropped, gradients):
+            return (
+                f"{dropped} of {gradients} gradients of environments were not finite in the last {seen} iterations "
+                f"(max_failed_share is {limit:g}): {_GRADIENT_REMEDY}"
             )
         bad = sum(one.bad_critics for one in self._recent)
         if bad > limit * seen:

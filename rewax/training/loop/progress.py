@@ -15,7 +15,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class ProgressReport:
-    """Shows return, entropy, speed and time left, and the number of failed episodes.
+    """Shows return, entropy, speed and time left, and the numbers of failed episodes and dropped gradients.
 
     A status bit is explained once, with a remedy, when it is first set; later lines have its count of steps while that
     grows, and ``close`` prints the counts of the whole run.
@@ -29,7 +29,7 @@ class ProgressReport:
     def __init__(self, console: Console, num_iterations: int, start: int) -> None:
         self._console, self.total, self._start = console, num_iterations, start
         self._shown: dict[str, float] = {"return": math.nan, "entropy": math.nan}
-        self._failed = 0
+        self._counts = {"failed_episodes": 0, "dropped_gradients": 0}
         self._status: Counter[str] = Counter()
         self._shown_status: Counter[str] = Counter()
         self._began = time.perf_counter()
@@ -47,12 +47,14 @@ class ProgressReport:
         for name in self._shown:
             if math.isfinite(value := float(metrics.get(name, math.nan))):
                 self._shown[name] = value
-        self._failed += int(metrics.get("failed_episodes", 0))
+        for name in self._counts:
+            self._counts[name] += int(metrics.get(name, 0))
         self._count_status(iteration, metrics)
         elapsed = time.perf_counter() - self._began
         left = elapsed / (iteration - self._start) * (self.total - iteration)
         parts = [f"{name} {value:.3g}" for name, value in self._shown.items() if math.isfinite(value)]
-        parts += [f"{self._failed} episodes failed"] * (self._failed > 0)
+        said = {"failed_episodes": "episodes failed", "dropped_gradients": "gradients dropped"}
+        parts += [f"{count} {said[name]}" for name, count in self._counts.items() if count]
         new = {bit: count - self._shown_status[bit] for bit, count in self._status.items()}
         parts += [f"{bit} in {count} more steps" for bit, count in new.items() if count]
         text = "  ".join([*parts, f"{steps_per_second:,.0f} steps/s", f"{duration(left)} left"])

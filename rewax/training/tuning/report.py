@@ -43,8 +43,8 @@ def write_trials(study: Any, space: Space, out_dir: Path) -> None:
             writer.writerow([trial.number, state, mean, last, *(values.get(name, "") for name in space), failure])
 
 
-def as_command(task: Task, values: Mapping[str, Value], imports: Sequence[str] = ()) -> str:
-    """The command ``rewax train`` with these values. ``imports`` register the task."""
+def as_command(task: Task, values: Mapping[str, Value], steps: int, imports: Sequence[str] = ()) -> str:
+    """The command ``rewax train`` with these values and as many control steps. ``imports`` register the task."""
     argv = ["rewax", "train", "--env", task.env, "--scale", task.scale, "--algo", task.algo]
     for module in imports:
         argv += ["--import", module]
@@ -54,13 +54,13 @@ def as_command(task: Task, values: Mapping[str, Value], imports: Sequence[str] =
             argv.append(flag if value else flag.replace(".", ".no-"))
         else:
             argv += [flag, *(str(one) for one in (value if isinstance(value, tuple) else (value,)))]
-    return shlex.join(argv + ([] if task.steps is None else ["--steps", str(task.steps)]))
+    return shlex.join([*argv, "--steps", str(steps)])
 
 
-def as_toml(task: Task, values: Mapping[str, Value]) -> str:
-    """The table ``[options.<algorithm>]`` of a suite with these values."""
+def as_toml(task: Task, values: Mapping[str, Value], steps: int) -> str:
+    """The tables ``[options.<algorithm>]`` and ``[steps]`` of a suite with these values."""
     lines = [f"{name} = {json.dumps(list(v) if isinstance(v, tuple) else v)}" for name, v in values.items()]
-    return "\n".join([f"[options.{task.algo}]", *lines]) + "\n"
+    return "\n".join([f"[options.{task.algo}]", *lines, "", "[steps]", f"{json.dumps(task.env)} = {steps}"]) + "\n"
 
 
 def _values(trial: Any, space: Space) -> dict[str, Value]:

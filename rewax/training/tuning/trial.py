@@ -61,11 +61,18 @@ class Task:
         Raises:
           ValueError: illegal options.
         """
-        preset = algorithm(self.algo).preset(self.env, self.scale)
-        config = dataclasses.replace(preset, **values)
-        steps = self.steps or preset.num_iterations * preset.num_envs * steps_in(preset, env)
+        config = dataclasses.replace(self._preset, **values)
         per_iteration = config.num_envs * steps_in(config, env)
-        return dataclasses.replace(config, num_iterations=math.ceil(steps / per_iteration))
+        return dataclasses.replace(config, num_iterations=math.ceil(self.control_steps(env) / per_iteration))
+
+    def control_steps(self, env: Env) -> int:
+        """Control steps of each seed, whatever the options."""
+        preset = self._preset
+        return self.steps or preset.num_iterations * preset.num_envs * steps_in(preset, env)
+
+    @property
+    def _preset(self) -> Any:
+        return algorithm(self.algo).preset(self.env, self.scale)
 
 
 class Report(NamedTuple):
@@ -120,7 +127,8 @@ class _Seed:
     def __init__(self, env: Env, agent: Any, seed: int) -> None:
         self.state = jax.jit(agent.init)(jax.random.key(seed))
         self.key = jax.random.fold_in(jax.random.key(seed), _EVALUATION_STREAM)
-        self._watch, self._finite = FailureWatch(env, ReportConfig()), FiniteCheck(self.state)
+        num_envs = getattr(agent.config, "num_envs", 0)
+        self._watch, self._finite = FailureWatch(env, ReportConfig(), num_envs), FiniteCheck(self.state)
         self.env_steps = 0
 
     def advance(self, train_step: Any) -> None:

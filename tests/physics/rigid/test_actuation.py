@@ -153,3 +153,52 @@ def test_slopes_beyond_limits(x64, pulled):
         expected = np.transpose(np.array(ends[0]) - np.array(ends[1])) / 2e-6
         for slope in slopes(model, ctrl, MOVING):
             np.testing.assert_allclose(slope, expected, atol=1e-8, err_msg=name)
+
+
+SERVOS = {
+    "direct": '<position joint="j" kp="2" kv="0.3" gear="0 0 1"/>',
+    "filter": '<general joint="j" dyntype="filter" dynprm="0.1" gainprm="2" biastype="affine" biasprm="0 -2 -0.3" gear="0 0 1"/>',
+    "exact": '<position joint="j" kp="2" kv="0.3" timeconst="0.1" gear="0 0 1"/>',
+    "integrated": '<intvelocity joint="j" kp="20" kv="3" gear="0 0 1" actrange="-9 9"/>',
+    "scaled": '<position joint="j" kp="2" timeconst="0.1" gear="0 0 1.7"/>',
+    "no servo": '<general joint="j" dyntype="filter" dynprm="0.1" gainprm="2" biastype="affine" biasprm="0 -1.5 0" gear="0 0 1"/>',
+}  # fmt: skip
+TURNED = """<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody><body><joint name="j" type="ball"/>
+<geom type="box" size=".1 .2 .3" density="20"/></body></worldbody><actuator>{}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("kind", SERVOS)
+def test_servos_of_ball_joints_take_mujocos_way_around(x64, kind):
+    """In some starts the set point, the activation or both lie more than half a turn from the joint."""
+    xml = TURNED.format(SERVOS[kind])
+    mj, model = mujoco.MjModel.from_xml_string(xml), rigid.load(xml)
+    step = jax.jit(lambda state, ctrl: rigid.step(model, state, ctrl), compiler_options=unoptimised())
+    rng, data = np.random.default_rng(3), mujoco.MjData(mj)
+    for angle, act, ctrl in ((-2.5, 3.1, 3.0), (2.7, 8.99, 2.0), (2.0, -1.5, -4.5), (-2.5, -3.0, 5.0), (0.3, 0.1, 0.2)):
+        axis = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
+        qpos, qvel = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis], rng.normal(size=3)
+        mujoco.mj_resetData(mj, data)
+        data.qpos[:], data.qvel[:], data.act[:], data.ctrl[:] = qpos, qvel, act, ctrl
+        state = rigid.initial_state(model, qpos, qvel).replace(act=jnp.full(mj.na, act))
+        for _ in range(3):
+            mujoco.mj_step(mj, data)
+            state = step(state, jnp.array([ctrl]))
+        np.testing.assert_allclose(state.qvel, data.qvel, atol=1e-12, err_msg=str(angle))
+        np.testing.assert_allclose(state.act, data.act, atol=1e-12, err_msg=str(angle))
+
+
+def test_slopes_of_a_filtered_servo_that_turns_the_short_way(x64):
+    model = rigid.load(TURNED.format(SERVOS["exact"]))
+
+    def after(inputs):
+        angle, act, ctrl = inputs
+        state = rigid.initial_state(model, jnp.array([jnp.cos(angle / 2), 0.0, 0.0, jnp.sin(angle / 2)]))
+        new = rigid.step(model, state.replace(act=act[None]), ctrl[None])
+        return jnp.array([new.qvel[2], new.act[0]])
+
+    inputs = jnp.array([-2.5, 3.1, 3.0])
+    exact, numeric = jax.jacrev(after)(inputs), np.zeros((2, 3))
+    for k, change in enumerate(1e-6 * np.eye(3)):
+        numeric[:, k] = (after(inputs + change) - after(inputs - change)) / 2e-6
+    np.testing.assert_allclose(exact, numeric, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(jax.jacfwd(after)(inputs), exact, rtol=1e-12, atol=1e-15)

@@ -64,6 +64,13 @@ REFUSED = {
         tiny(flag='sleep="enable"'),
         'the model lets bodies sleep, which is not supported: load(..., flags={"sleep": False})',
     ),
+    **{
+        flag: (
+            tiny(flag=f'{flag}="enable"'),
+            f'the model enables the flag {flag}, which is not supported: load(..., flags={{"{flag}": False}})',
+        )
+        for flag in ("override", "diagexact", "speculative")
+    },
     "turned_site": (
         tiny(body='<site name="root"/>', actuator='<motor name="twist" site="tip" refsite="root" gear="0 0 0 1 0 0"/>'),
         "actuator 'twist' turns a site against its refsite, which is not supported: set the last three numbers of its gear "

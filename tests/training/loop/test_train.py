@@ -170,13 +170,19 @@ def test_a_signal_finishes_the_iteration_and_resumes_bit_for_bit(whole, tmp_path
 def test_baselines_and_pictures(tmp_path):
     _, text = run(tmp_path, num_iterations=2, baselines=True, plots=True, tensorboard=True)
     baselines = json.loads((tmp_path / "baselines.json").read_text())
-    assert baselines.keys() == {"no action", "random actions"}
+    assert baselines.keys() == {"no action", "random actions", "of"}
     still = [-5 * start**2 for start in (0.5, 1.5)]
     assert still[1] <= baselines["no action"] <= still[0]
     assert "baselines: no action" in text
     for name in ("learning_curve.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert list((tmp_path / "tensorboard").glob("events*"))
+    stored = (tmp_path / "baselines.json").read_bytes()
+    run(tmp_path, num_iterations=3, baselines=True, resume=True)
+    assert (tmp_path / "baselines.json").read_bytes() == stored
+    run(tmp_path, num_iterations=4, baselines=True, resume=True, num_eval_episodes=3)
+    again = json.loads((tmp_path / "baselines.json").read_text())
+    assert again["of"] == {**baselines["of"], "episodes": 3} and again["random actions"] != baselines["random actions"]
 
 
 def test_two_runs_in_one_directory_are_refused(tmp_path):

@@ -195,12 +195,13 @@ def test_processes_share_a_study(tmp_path, monkeypatch):
 def test_the_best_is_printed_as_a_command_and_as_a_table_of_a_suite():
     task = dataclasses.replace(TASK, env="Hopper", algo="sac", steps=1024)
     values = {"batch_size": 512, "normalize_rewards": False, "actor_widths": (64, 32)}
-    assert as_command(task, values) == (
+    assert as_command(task, values, 1024) == (
         "rewax train --env Hopper --scale small --algo sac --sac.batch-size 512 --sac.no-normalize-rewards "
         "--sac.actor-widths 64 32 --steps 1024"
     )
-    own = as_command(task, {}, ("my tasks.py", "more"))
+    own = as_command(task, {}, 1024, ("my tasks.py", "more"))
     assert own.startswith("rewax train --env Hopper --scale small --algo sac --import 'my tasks.py' --import more")
-    assert tomllib.loads(as_toml(task, values)) == {
-        "options": {"sac": {"batch_size": 512, "normalize_rewards": False, "actor_widths": [64, 32]}}
+    assert tomllib.loads(as_toml(task, values, 1024)) == {
+        "options": {"sac": {"batch_size": 512, "normalize_rewards": False, "actor_widths": [64, 32]}},
+        "steps": {"Hopper": 1024},
     }
