@@ -6,6 +6,7 @@ primitive of this module (see "JAX internals: primitives" in JAX's documentation
 """
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -133,10 +134,22 @@ def run_scalar_form(*args: Array, function: Rule, **params: Any) -> list[Array]:
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:
     del params
     if not any(_varying_axes(a) for a in args):
+        if any(_explicit_axes(a) for a in args):
+            warnings.warn(_EXPLICIT, stacklevel=2)
         return [ShapedArray(*a) for a in out]
     # Inside shard_map, results vary over the same mesh axes as the arguments.
     sharding = jax.sharding.NamedSharding(args[0].sharding.mesh, jax.sharding.PartitionSpec())
     return [ShapedArray(*a, sharding=sharding, manual_axis_type=args[0].manual_axis_type) for a in out]
+
+
+_EXPLICIT = (
+    "an argument is sharded over a mesh with explicit axes, but rewax's functions lose this sharding, and every device "
+    "computes everything: call them inside jax.shard_map (docs/gpu.md)"
+)
+
+
+def _explicit_axes(a: ShapedArray) -> bool:
+    return any(axis is not None for axis in getattr(a.sharding, "spec", ()))
 
 
 @functools.lru_cache(maxsize=4096)
@@ -212,10 +225,24 @@ _lower_run = mlir.lower_fun(_run, multiple_results=True)
 def _lower_on_cpu(context: Any, *args: Any, **params: Any) -> Any:
     """Lowers for a CPU; exported programs hold none of rewax's C++."""
     if not getattr(context.module_context.lowering_parameters, "for_export", False):
-        return _lower_run(context, *args, **params)
+        return _lower(_lower_run, context, *args, **params)
     with portable():
-        return _lower_run(context, *args, **params)
+        return _lower(_lower_run, context, *args, **params)
 
 
-mlir.register_lowering(linear_call_p, mlir.lower_fun(run_elsewhere, multiple_results=True))
+def _lower(lower: Callable[..., Any], context: Any, *args: Any, **params: Any) -> Any:
+    """Raises ValueError for an axis that ``vmap`` has named: JAX forgets the name before it lowers."""
+    try:
+        return lower(context, *args, **params)
+    except (NameError, AssertionError) as error:
+        if str(error) and "unbound axis name" not in str(error):
+            raise
+        raise ValueError(
+            "a function that rewax compiles uses a collective, such as jax.lax.pmean, over an axis of vmap: use it "
+            "outside of this function"
+        ) from error
+
+
+_lower_elsewhere = functools.partial(_lower, mlir.lower_fun(run_elsewhere, multiple_results=True))
+mlir.register_lowering(linear_call_p, _lower_elsewhere)
 mlir.register_lowering(linear_call_p, _lower_on_cpu, platform="cpu")

@@ -1,5 +1,7 @@
 """The primitive behind hand-written transposes: both modes, batching of some arguments, and what it refuses."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -118,3 +120,22 @@ def test_it_can_be_debugged_without_jit():
         value, derivative = jax.value_and_grad(lambda a: materialize(a) * jnp.sin(a))(1.0)
     assert value == jnp.sin(1.0)
     assert derivative == pytest.approx(np.sin(1.0) + np.cos(1.0))
+
+
+def test_a_collective_over_an_axis_of_vmap_is_refused():
+    for function in (lambda x: x - jax.lax.pmean(x, "i"), lambda x: x + jax.lax.axis_index("i")):
+        with pytest.raises(ValueError, match=r"uses a collective.* over an axis of vmap: use it outside"):
+            jax.jit(jax.vmap(interpreted(function), axis_name="i"))(jnp.arange(3.0))
+
+
+def test_sharding_over_explicit_axes_that_is_lost_is_said():
+    mesh = jax.make_mesh((1,), ("x",), axis_types=(jax.sharding.AxisType.Explicit,))
+    xs = jax.device_put(jnp.ones((4, 3)), jax.NamedSharding(mesh, jax.P("x")))
+    twice = interpreted(lambda a: 2.0 * a)
+    with pytest.warns(UserWarning, match=r"call them inside jax.shard_map"):
+        out = jax.jit(jax.vmap(twice))(xs)
+    np.testing.assert_array_equal(out, 2.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        alone = jax.shard_map(jax.vmap(twice), mesh=mesh, in_specs=jax.P("x"), out_specs=jax.P("x"))
+        np.testing.assert_array_equal(jax.jit(alone)(xs), 2.0)
