@@ -2,6 +2,7 @@
 
 import functools
 import re
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 import rigid_models
 from rigid_cases import ARM_ON_THE_FLOOR, CALLS, STEPS, advance, draw, home, hop, loaded, simulate_in_c
 
+from rewax.lowering.report import LoweringWarning
 from rewax.physics import rigid
 from rewax.physics.rigid import stepping
 from rewax.physics.rigid.spring_contacts import Penalty
@@ -56,6 +58,25 @@ def test_a_hundred_steps_agree_with_mujoco(x64, name, kind, shifts, scales):
     np.testing.assert_allclose(state.act, data.act, atol=1e-8)
     np.testing.assert_allclose(state.qacc, data.qacc, atol=1e-5, rtol=1e-7)
     assert np.abs(data.qpos - qpos).max() > 0.01
+
+
+COUPLED = """<mujoco><option gravity="0 0 -2"/><worldbody>
+  <body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".2 0 0"/></body>
+  <body pos="0 1 0"><joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/></body></worldbody>
+  <tendon><fixed name="t"><joint joint="a" coef="1"/></fixed><fixed name="u"><joint joint="b" coef="1"/></fixed></tendon>
+  <equality><joint joint1="a" joint2="b" polycoef="0.1 1 .2 0 0"/><tendon tendon1="t" tendon2="u"/></equality></mujoco>"""
+
+
+def test_equalities_of_joints_and_tendons_run_in_cpp():
+    model, mj = rigid.load(COUPLED), mujoco.MjModel.from_xml_string(COUPLED)
+    data = mujoco.MjData(mj)
+    data.qpos[:], data.qvel[:] = [0.2, 0.3], [0.5, -0.4]
+    mujoco.mj_step(mj, data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LoweringWarning)
+        state = rigid.initial_state(model, [0.2, 0.3], [0.5, -0.4])
+        new = jax.jit(rigid.step, compiler_options=unoptimised())(model, state)
+    np.testing.assert_allclose(new.qvel, data.qvel, atol=1e-6)
 
 
 def test_joint_damping_is_implicit_unless_the_model_says_no(x64):
