@@ -72,7 +72,8 @@ def last_evaluation(run_dir: Path) -> dict[str, float] | None:
     if not rows or config.get("env") not in rewax.list_envs() or config.get("agent") == "trajopt":
         return None
     last = {name: float(value) for name, value in rows[-1].items() if value not in ("", None)}
-    finished = last["iteration"] >= config[config["agent"]]["num_iterations"]
+    steps = config["train"].get("num_steps")  # with them a run of AHAC has fewer iterations
+    finished = last["iteration"] >= config[config["agent"]]["num_iterations"] or (steps and last["env_steps"] >= steps)
     return last if finished and math.isfinite(last["deterministic_mean"]) else None
 
 

@@ -8,7 +8,7 @@ import pytest
 import rigid_models
 
 from rewax.physics import rigid
-from rewax.physics.rigid import mjcf
+from rewax.physics.rigid import mjcf, model
 from rewax.physics.rigid.spring_contacts import Penalty
 
 PENALTY = Penalty(stiffness=1e4)
@@ -136,10 +136,6 @@ REFUSED = {
         tiny(extra='<contact><pair name="touch" geom1="floor" geom2="rod" adhesion="1"/></contact>'),
         "pair 'touch' has an adhesion, which is not supported: remove it",
     ),
-    "mjx": (
-        tiny(flag='override="enable"'),
-        "MJX does not support this model (mjtEnableBit.mjENBL_OVERRIDE): remove that, or set contype and conaffinity of such geoms to 0",
-    ),
     "colliding": (
         rigid_models.mjcf(
             '<geom name="can" type="cylinder" size=".1 .1"/><body><freejoint/><geom name="box" type="box" size=".1 .1 .1"/></body>',
@@ -149,6 +145,15 @@ REFUSED = {
         "remove that, or set contype and conaffinity of such geoms to 0, or give contact_pairs one of these kinds",
     ),
 }  # fmt: skip
+
+
+def test_what_mjx_refuses_is_said(monkeypatch):
+    def refuse(*args):
+        raise NotImplementedError("a new feature")
+
+    monkeypatch.setattr(model, "_Model", refuse)
+    with pytest.raises(ValueError, match=r"MJX does not support this model \(a new feature\): remove that, or set"):
+        rigid.load(tiny())
 
 
 @pytest.mark.parametrize("what", REFUSED)
