@@ -1,6 +1,6 @@
 """Returns of a policy of AntRun in rewax, and in Rewarped, the simulator of the paper, with both mass matrices.
 
-    python -m venv reference && reference/bin/pip install rewarped torch gym
+    python -m venv reference && reference/bin/pip install rewarped==1.3.3 torch gym
     python benchmarks/ant_in_rewarped.py --python reference/bin/python
 
 Rewarped computes the ant's mass matrix once per control step and keeps it for all 16 substeps. One attribute of its
