@@ -169,12 +169,18 @@ TURNED = """<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody><body><
 
 @pytest.mark.parametrize("kind", SERVOS)
 def test_servos_of_ball_joints_take_mujocos_way_around(x64, kind):
-    """In some starts the set point, the activation or both lie more than half a turn from the joint."""
+    """In some starts the set point, the activation or both lie more than half a turn from the joint, or come to lie."""
     xml = TURNED.format(SERVOS[kind])
     mj, model = mujoco.MjModel.from_xml_string(xml), rigid.load(xml)
     step = jax.jit(lambda state, ctrl: rigid.step(model, state, ctrl), compiler_options=unoptimised())
     rng, data = np.random.default_rng(3), mujoco.MjData(mj)
-    for angle, act, ctrl in ((-2.5, 3.1, 3.0), (2.7, 8.99, 2.0), (2.0, -1.5, -4.5), (-2.5, -3.0, 5.0), (0.3, 0.1, 0.2)):
+    for angle, act, ctrl in (
+        (-2.5, 3.1, 3.0),
+        (2.7, 8.99, 2.0),
+        (2.0, -1.5, -4.5),
+        (-2.5, -3.0, 5.0),
+        (2.0, 5.13, 20.0),
+    ):
         axis = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
         qpos, qvel = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis], rng.normal(size=3)
         mujoco.mj_resetData(mj, data)
