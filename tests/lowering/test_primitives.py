@@ -25,7 +25,6 @@ FUNCTIONS = {
     **{f"slope_of_{f.__name__}": jax.grad(f) for f in (jnp.tanh, jnp.arcsin, jnp.arccos, jnp.arctanh, jnp.arctan)},
     "powers": lambda a: jnp.sum(a ** jnp.arange(5)) + a ** jnp.int32(-1),
     "slope_of_powers": jax.grad(lambda a: jnp.sum(a ** jnp.arange(5))),
-    "too_large": lambda a: 1.0 * jnp.maximum(a.astype(jnp.int32), jnp.full((), 2.0**31).astype(jnp.int32)),
     "precision": lambda a: jax.lax.reduce_precision(a, 8, 23),
 }  # fmt: skip
 
@@ -41,6 +40,14 @@ def test_numbers_are_those_of_jax(name):
     assert [d.reason for d in decisions] == [None, None]
     for found in (by_machine, by_kernel):
         np.testing.assert_allclose(found, expected, rtol=3e-6, atol=2e-7)
+
+
+@NEEDS_COMPILER
+def test_a_constant_that_no_integer_holds_becomes_the_largest_one():
+    def function(a):
+        return jnp.maximum(a.astype(jnp.int32), jnp.full(1, 2.0**31, jnp.float32).astype(jnp.int32)).astype(float)
+
+    np.testing.assert_array_equal(jax.jit(interpreted(function))(jnp.array([5.0])), 2.0**31)
 
 
 @NEEDS_COMPILER

@@ -189,8 +189,8 @@ def test_servos_of_ball_joints_take_mujocos_way_around(x64, kind):
         for _ in range(3):
             mujoco.mj_step(mj, data)
             state = step(state, jnp.array([ctrl]))
-        np.testing.assert_allclose(state.qvel, data.qvel, atol=1e-12, err_msg=str(angle))
-        np.testing.assert_allclose(state.act, data.act, atol=1e-12, err_msg=str(angle))
+            np.testing.assert_allclose(state.qvel, data.qvel, atol=1e-12, err_msg=str(angle))
+            np.testing.assert_allclose(state.act, data.act, atol=1e-12, err_msg=str(angle))
 
 
 def test_slopes_of_a_filtered_servo_that_turns_the_short_way(x64):
