@@ -140,7 +140,8 @@ def _turns(mj: mujoco.MjModel) -> np.ndarray:
     fixed = mj.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
     affine = mj.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     servo = fixed & affine & (mj.actuator_gainprm[:, 0] == -mj.actuator_biasprm[:, 1])
-    return ball & np.isin(mj.actuator_trntype, ON_JOINT) & servo & (mj.actuator_dyntype != _MUSCLE)
+    geared = np.any(mj.actuator_gear[:, :3] != 0, axis=1)
+    return ball & geared & np.isin(mj.actuator_trntype, ON_JOINT) & servo & (mj.actuator_dyntype != _MUSCLE)
 
 
 def _periods(m: mjx.Model) -> Array:

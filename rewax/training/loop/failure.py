@@ -80,8 +80,9 @@ class FailureWatch:
             self._culprit = _culprit(self._env, metrics)
             warnings["failed"] = f"{self._culprit}: {_REMEDY}"
         if dropped:
-            which = "1 environment was" if dropped == 1 else f"{dropped} environments were"
-            warnings["dropped"] = f"{which} left out of the gradient, because theirs was not finite: {_GRADIENT_REMEDY}"
+            one = "the gradient of 1 environment was not finite and was left out"
+            several = f"the gradients of {dropped} environments were not finite and were left out"
+            warnings["dropped"] = f"{one if dropped == 1 else several}: {_GRADIENT_REMEDY}"
         new = [f"warning: in iteration {iteration} {warnings[kind]}" for kind in warnings if kind not in self._warned]
         self._warned |= set(warnings)
         return "\n".join(new)

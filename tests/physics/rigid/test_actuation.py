@@ -161,6 +161,7 @@ SERVOS = {
     "exact": '<position joint="j" kp="2" kv="0.3" timeconst="0.1" gear="0 0 1"/>',
     "integrated": '<intvelocity joint="j" kp="20" kv="3" gear="0 0 1" actrange="-9 9"/>',
     "scaled": '<position joint="j" kp="2" timeconst="0.1" gear="0 0 1.7"/>',
+    "idle": '<position joint="j" kp="2" timeconst="0.1" gear="0 0 0"/>',
     "no servo": '<general joint="j" dyntype="filter" dynprm="0.1" gainprm="2" biastype="affine" biasprm="0 -1.5 0" gear="0 0 1"/>',
 }  # fmt: skip
 TURNED = """<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody><body><joint name="j" type="ball"/>

@@ -77,7 +77,7 @@ def test_gradients_that_are_dropped():
     followed = FailureWatch(ENV, ReportConfig(failure_window=3), num_envs=4)
     unknown = FailureWatch(ENV, ReportConfig(failure_window=3))
     said = [followed.add(i, 10, {"dropped_gradients": n}) for i, n in enumerate((1, 2, 2), start=1)]
-    assert said[0].startswith("warning: in iteration 1 1 environment was left out of the gradient, because")
+    assert said[0].startswith("warning: in iteration 1 the gradient of 1 environment was not finite and was left out:")
     assert said[1:] == ["", ""] and not followed.reason() and followed.healthy
     followed.add(4, 10, {"dropped_gradients": 4})
     assert followed.reason().startswith("8 of 12 gradients of environments were not finite in the last 3 iterations")
@@ -89,7 +89,7 @@ def test_gradients_that_are_dropped():
 
 def test_one_iteration_may_warn_of_both():
     said = watch().add(1, 10, {"dropped_gradients": 1, "failed_episodes": 1}).split("\n")
-    assert len(said) == 2 and "an environment failed" in said[0] and "1 environment was left out" in said[1]
+    assert len(said) == 2 and "an environment failed" in said[0] and "the gradient of 1 environment" in said[1]
 
 
 def test_algorithms_without_these_metrics_never_fail():
