@@ -50,11 +50,17 @@ def write_environment(run_dir: str | Path) -> None:
 
     from rewax.lowering import machine
 
-    packages = sorted({f"{d.name}=={d.version}" for d in importlib.metadata.distributions() if d.name}, key=str.lower)
     devices = sorted({device.device_kind for device in jax.devices()})
     head = f"# Python {platform.python_version()}, {platform.platform()}, {len(jax.devices())} x {', '.join(devices)}"
     cpp = f"# C++ on a CPU: {'on' if machine.why_in_xla() is None else 'off'}"
-    (Path(run_dir) / "environment.txt").write_text("\n".join([head, cpp, *packages]) + "\n")
+    (Path(run_dir) / "environment.txt").write_text("\n".join([head, cpp, *_installed()]) + "\n")
+
+
+@functools.cache
+def _installed() -> tuple[str, ...]:
+    """All installed packages with their versions, read once: it takes up to half a second."""
+    found = (distribution.metadata for distribution in importlib.metadata.distributions())
+    return tuple(sorted({f"{about['Name']}=={about['Version']}" for about in found if about["Name"]}, key=str.lower))
 
 
 def provenance() -> dict[str, str]:
@@ -148,13 +154,15 @@ def one_sided(old: Mapping[str, Any], new: Mapping[str, Any], table: str) -> lis
 
 def versions() -> dict[str, str]:
     """Versions of the packages that a run depends on."""
-    found = {}
-    for package in _PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    return {package: _version(package) for package in _PACKAGES}
+
+
+@functools.cache
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 __all__ = [

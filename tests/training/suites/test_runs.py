@@ -25,6 +25,8 @@ from rewax.training.suites.runs import Cell, any_failed, in_turn, read_result, r
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, markdown, read_results
 
+ENV = toys.point_mass()
+
 
 @pytest.fixture
 def suite(monkeypatch):
@@ -35,7 +37,7 @@ def suite(monkeypatch):
         namespace={"steps_in": lambda self, env: self.horizon},
     )
     make = lambda env, config: toys.make_toy(env, num_envs=4, horizon=config.horizon, noise=config.noise)  # noqa: E731
-    monkeypatch.setitem(registry._FACTORIES, "PointMass", lambda scale: toys.point_mass())
+    monkeypatch.setitem(registry._FACTORIES, "PointMass", lambda scale: ENV)
     for name, noise in (("calm", 0.1), ("wild", 0.5)):
         preset = lambda env_name, scale, noise=noise: config(noise=noise)  # noqa: E731
         monkeypatch.setitem(agents._ALGORITHMS, name, lambda preset=preset: Algorithm(make, config, preset))
