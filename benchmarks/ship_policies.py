@@ -123,18 +123,17 @@ def card(run_dir: Path, run: SavedRun, returns: dict[str, dict[str, Any]]) -> di
         "iteration": int(run.train_state.iteration),
         "env_steps": int(run.train_state.env_steps),
         "returns": returns,
-        "trained": {**_trained(run_dir), "versions": config.get("versions", {})},
+        "trained": {**_trained(run_dir, config), "versions": config.get("versions", {})},
         "evaluated": provenance(),
     }
 
 
-def _trained(run_dir: Path) -> dict[str, Any]:
-    """Commit, processor, C++ and jax of a run, where it kept them."""
-    for path in (run_dir / "result.json", run_dir / "provenance.json"):
-        if path.is_file():
-            kept = json.loads(path.read_text())
-            return {name: kept[name] for name in ("commit", "processor", "cpp", "jax") if name in kept}
-    return {}
+def _trained(run_dir: Path, config: dict[str, Any]) -> dict[str, Any]:
+    """Commit, processor, C++ and jax of a run's last part; of a run by an earlier version from ``result.json``."""
+    kept, result = config.get("provenance", [])[-1:], run_dir / "result.json"
+    if not kept and result.is_file():
+        kept = [json.loads(result.read_text())]
+    return {name: part[name] for part in kept for name in ("commit", "processor", "cpp", "jax") if name in part}
 
 
 def ship(run_dir: Path, recorded: dict[str, float], args: Args) -> str:

@@ -86,6 +86,7 @@ def test_trains_with_the_defaults_of_the_scale(main, tmp_path):
     code, text = main("--env", "PointMass", "--scale", "paper", "--seed", "3", "--toy.noise", "0.2")
     assert code == 0
     config = json.loads((tmp_path / "runs" / "PointMass-paper-toy-3" / "config.json").read_text())
+    assert [part["after"] for part in config["provenance"]] == [0]
     assert (config["env"], config["scale"], config["seed"], config["agent"]) == ("PointMass", "paper", 3, "toy")
     assert config["toy"] == {"num_envs": 4, "horizon": 3, "num_iterations": 3, "noise": 0.2}
 

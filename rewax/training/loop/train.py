@@ -28,6 +28,7 @@ from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
     append_lowering,
     describe_run,
+    provenance_of_parts,
     read_config,
     write_config,
     write_environment,
@@ -195,7 +196,8 @@ def prepared(
         kept = {name: value for name, value in stored.items() if name not in _ANEW}
         if config.resume:  # what the run began with stays
             description["train"] = dataclasses.replace(config, init_from=first_run(stored))
-        write_config(run_dir, {**kept, **description, "schedule": schedule})
+        made = {"schedule": schedule, "provenance": provenance_of_parts(stored, int(train_state.iteration))}
+        write_config(run_dir, {**kept, **description, **made})
         write_environment(run_dir)
         key = _evaluation_key(config)
         known = programs or programs_of(agent, env, config)

@@ -78,6 +78,24 @@ def provenance() -> dict[str, str]:
     return {"commit": _commit(), "processor": processor, "cpp": cpp, "jax": jax.__version__}
 
 
+def provenance_of_parts(stored: Mapping[str, Any], iteration: int) -> list[dict[str, Any]]:
+    """Provenance of each part of a run, and the iteration ``after`` which it began.
+
+    A run has another part where it was resumed with another commit, processor, C++ setting or JAX.
+
+    Args:
+      stored: contents of its ``config.json``; empty for a new run.
+      iteration: from which it continues now.
+    """
+    listed = stored.get("provenance")
+    parts = [part for part in listed if isinstance(part, dict)] if isinstance(listed, list) else []
+    parts = [part for part in parts if isinstance(part.get("after"), int) and part["after"] < iteration]
+    now = provenance()
+    if parts and all(parts[-1].get(name) == value for name, value in now.items()):
+        return parts
+    return [*parts, {"after": iteration, **now}]
+
+
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
@@ -166,6 +184,6 @@ def _version(package: str) -> str:
 
 
 __all__ = [
-    "append_lowering", "changes", "describe_run", "plain", "provenance", "read_config", "write_config",
-    "write_environment",
+    "append_lowering", "changes", "describe_run", "plain", "provenance", "provenance_of_parts", "read_config",
+    "write_config", "write_environment",
 ]  # fmt: skip

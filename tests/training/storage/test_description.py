@@ -17,6 +17,7 @@ from rewax.training.storage.description import (
     changes,
     describe_run,
     provenance,
+    provenance_of_parts,
     read_config,
     write_config,
     write_environment,
@@ -96,3 +97,16 @@ def test_provenance_says_with_what_a_result_was_made(monkeypatch):
     assert re.fullmatch(r"[0-9a-f]{12}\+?|", found["commit"])
     monkeypatch.setenv("PATH", "")  # no git
     assert provenance()["commit"] == ""
+
+
+def test_a_run_has_a_part_for_each_place_where_it_was_trained(monkeypatch):
+    here, there = ({"commit": commit, "processor": "1 x A", "cpp": "on", "jax": "1"} for commit in ("a", "b"))
+    monkeypatch.setattr(description, "provenance", lambda: here)
+    first = provenance_of_parts({}, 0)
+    assert first == [{"after": 0, **here}] == provenance_of_parts({"provenance": first}, 5)
+    monkeypatch.setattr(description, "provenance", lambda: there)
+    both = provenance_of_parts({"provenance": first}, 5)
+    assert both == [*first, {"after": 5, **there}]
+    assert provenance_of_parts({"provenance": both}, 3) == [*first, {"after": 3, **there}]  # from an older checkpoint
+    for by_hand in ("me", [1, {"after": "x"}]):
+        assert provenance_of_parts({"provenance": by_hand}, 3) == [{"after": 3, **there}]
