@@ -1,12 +1,14 @@
 """The commands by name; an error in the input becomes one sentence and an exit code."""
 
+import contextlib
 import difflib
 import errno
 import importlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 
 _SUMMARIES = {
     "train": "train a policy on an environment",
@@ -62,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
-        code = _run(argv)
+        with _sentences_for_warnings():
+            code = _run(argv)
         sys.stdout.flush()
         return code
     except ValueError as error:
@@ -86,6 +89,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             raise
         return _CANNOT_GO_ON
+
+
+@contextlib.contextmanager
+def _sentences_for_warnings() -> Iterator[None]:
+    """Inside, warnings to users are printed as one sentence, without the place in the source that gave them."""
+    standard = warnings.formatwarning
+
+    def as_sentence(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        if issubclass(category, UserWarning):
+            return f"warning: {message}\n"
+        return standard(message, category, filename, lineno, line)
+
+    warnings.formatwarning = as_sentence
+    try:
+        yield
+    finally:
+        warnings.formatwarning = standard
 
 
 def _run(argv: list[str]) -> int:

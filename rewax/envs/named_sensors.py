@@ -59,9 +59,12 @@ def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) 
       resolution: pixels along each side of pictures; None: ``RESOLUTION``.
 
     Raises:
-      ValueError: there is no such sensor, the environment cannot have it, or the resolution is no positive integer.
+      ValueError: there is no such sensor, the environment cannot have it, the resolution is no positive integer, or
+        none of the sensors takes pictures.
     """
     names = check_names(names)
+    if resolution is not None and names and all(_FACTORIES[name] is _touch for name in names):
+        raise ValueError(f"resolution is {resolution!r}, but {', '.join(names)} takes no pictures: leave it out")
     size = RESOLUTION if resolution is None else resolution
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
         raise ValueError(f"resolution is {resolution!r}: give an integer of pixels, at least 1")

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 
 import pytest
 import toys
@@ -126,6 +127,18 @@ def test_the_examples_are_these_commands(tmp_path):
             check=True,
         )
         assert f"rewax {words[0]}" in done.stdout and words[1] in done.stdout
+
+
+def test_warnings_to_users_are_one_sentence(monkeypatch, capsys):
+    def warns(argv):
+        for kind in (UserWarning, DeprecationWarning):
+            print(warnings.formatwarning("it is old: renew it", kind, "a.py", 3), end="")
+        return 0
+
+    monkeypatch.setattr("rewax.cli.main._run", warns)
+    before = warnings.formatwarning
+    assert main(["eval"]) == 0 and warnings.formatwarning is before
+    assert capsys.readouterr().out == "warning: it is old: renew it\na.py:3: DeprecationWarning: it is old: renew it\n"
 
 
 @pytest.mark.parametrize("code", [errno.EISDIR, errno.EROFS, errno.ENOENT, errno.EACCES])

@@ -54,6 +54,7 @@ def test_no_sensors_are_the_environment_alone(sensors):
         ({"sensors": ["camera"], "resolution": 0}, "resolution is 0: give an integer of pixels, at least 1"),
         ({"sensors": ["camera"], "resolution": True}, "resolution is True: give an integer"),
         ({"resolution": 64}, r"resolution is that of pictures: give it together with sensors=\('camera',\)"),
+        ({"sensors": ["touch"], "resolution": 64}, "resolution is 64, but touch takes no pictures: leave it out"),
         ({"resolution": 64, "sensors": ()}, r"resolution is that of pictures: give it together with sensors="),
     ],
 )

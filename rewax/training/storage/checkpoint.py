@@ -139,7 +139,7 @@ def write_healthy(run_dir: str | Path, step: int | None) -> None:
 
 
 def _warn(sentence: str) -> None:
-    warnings.warn(sentence, stacklevel=3)
+    warnings.warn(sentence.removeprefix("warning: "), stacklevel=3)
 
 
 def restore(
