@@ -47,8 +47,8 @@ class Status(enum.IntFlag):
     CROSSED = 512
     """Cloth or a rope passes through itself or another one or lies at the same place, or a vertex is, or was, faster
     than the scene's ``self_contact.max_speed`` or ``thin.largest_safe_speed``, above which it may. In a mixed scene
-    also: a particle may meet cloth faster than ``contact.max_speed`` or ``mixed.largest_safe_particle_speed``. Not
-    fatal."""
+    also: a particle may meet cloth faster than ``contact.max_speed`` or ``mixed.largest_safe_particle_speed``, or was
+    pressed through nine tenths of the contact's thickness. Not fatal."""
     UNSOLVED = 1024
     """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``, or the constraint
     forces of rigid bodies did not balance within the model's ``iterations``: its gradient is wrong. Not fatal."""

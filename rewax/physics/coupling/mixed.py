@@ -12,6 +12,7 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.physics.coupling.particle_contact import (
     ParticleContact,
+    largest_depth,
     meeting_speed,
     particle_pairs,
     stopping_energy,
@@ -32,6 +33,8 @@ from rewax.types import Array, Scalar, Vector
 
 LAYERS = 8
 """Layers of particles that press on the one in front, for ``largest_safe_particle_speed``."""
+DEEPEST = 0.9
+"""Depth over thickness beyond which a particle is all but through the cloth, and nothing more holds it back."""
 CROWD = 2
 """Pairs of one particle, and sides of the cloth with particles, for which the stable dt has room."""
 _SCENE = {
@@ -54,6 +57,8 @@ class MixedState(struct.Replaceable):
       missed: 1 if particles have reached nodes of the grid outside of their list in any step, else 0, shape ().
         Gradient: none.
       speed: largest speed at which a particle may have met the cloth in any step [m/s], shape (). Gradient: none.
+      depth: largest depth of a particle in the cloth's thickness in any step [-], shape (): 0 where they touch, 1 at
+        the middle. Gradient: none.
     """
 
     particles: MPMState
@@ -61,10 +66,11 @@ class MixedState(struct.Replaceable):
     full: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     missed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    depth: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
     def __post_init__(self) -> None:
         # The types of a step's result: a weak one would compile the next step again.
-        for name in ("full", "missed", "speed"):
+        for name in ("full", "missed", "speed", "depth"):
             value = getattr(self, name)
             if getattr(value, "weak_type", False):
                 object.__setattr__(self, name, jnp.asarray(value, value.dtype))
@@ -208,7 +214,8 @@ STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``,
+    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, or that was
+    pressed through nine tenths of the contact's thickness,
     ``INACTIVE_NODES`` for too short a list of nodes or a particle that moved too far between two searches, all three
     in any step so far.
 
@@ -229,6 +236,7 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     # A scene that was changed after it was built may be safe only at lower speeds.
     limit = jnp.minimum(scene.contact.max_speed, (1.0 + 1e-5) * largest_safe_particle_speed(scene))
     fast = jnp.maximum(state.speed, speed) > limit
+    deep = jnp.maximum(state.depth, largest_depth(pairs, particles, vertices)) > DEEPEST
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
@@ -240,7 +248,7 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
         | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
         | flag((state.missed > 0) | missed, Status.INACTIVE_NODES)
-        | flag(fast, Status.CROSSED)
+        | flag(fast | deep, Status.CROSSED)
         | flag(bad | too_long, Status.INVALID_PARAMETERS)
     )
 

@@ -19,7 +19,13 @@ from rewax.physics.coupling import nodes, sheets
 from rewax.physics.coupling.exchange import Received, System
 from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.coupling.nodes import NodeContact
-from rewax.physics.coupling.particle_contact import ParticlePairs, contact_forces, meeting_speed, particle_pairs
+from rewax.physics.coupling.particle_contact import (
+    ParticlePairs,
+    contact_forces,
+    largest_depth,
+    meeting_speed,
+    particle_pairs,
+)
 from rewax.physics.coupling.vertices import VertexContact
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.packing import join as join_particles
@@ -71,6 +77,8 @@ class Met(NamedTuple):
     """Whether particles reached nodes outside of their list, shape (), bool."""
     speed: Array
     """Largest speed of a particle relative to the cloth that it may meet [m/s], shape ()."""
+    depth: Array
+    """Largest depth of a particle in the cloth's thickness [-], shape ()."""
 
 
 class MixedContact(NamedTuple):
@@ -113,7 +121,8 @@ def split(state: MixedState) -> Mixed:
 def join(soft: Mixed) -> MixedState:
     """Inverse of ``split``."""
     particles, thin = join_particles(soft.particles), thin_stepping.join(soft.vertices)
-    return MixedState(particles=particles, thin=thin, speed=jnp.zeros((), thin.x.dtype))
+    nothing = jnp.zeros((), thin.x.dtype)
+    return MixedState(particles=particles, thin=thin, speed=nothing, depth=nothing)
 
 
 def constants_of(scene: MixedScene, state: MixedState) -> Constants:
@@ -134,12 +143,12 @@ def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Consta
     own, watch = (None, None) if scene.thin.self_contact is None else watched_pairs(scene.thin, vertices)
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles.x, vertices.x)
     both = (particles.x, particles.v), (vertices.x, vertices.v)
-    fast = meeting_speed(scene.contact, pairs, scene.dt, *both)
+    fast, deep = meeting_speed(scene.contact, pairs, scene.dt, *both), largest_depth(pairs, *both)
     start = jnp.stack(particles.x, axis=-1)
 
     def met(end: Mixed, substeps: int) -> Met:
         missed = nodes_missed(scene.particles, start, jnp.stack(unpack(end.particles).x, axis=-1))
-        return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, missed, fast)
+        return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, missed, fast, deep)
 
     nodes = nodes_of_step(scene.particles, start)
     return constants._replace(nodes=nodes, own=own, pairs=pairs), met
@@ -147,12 +156,12 @@ def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Consta
 
 def remembered(before: MixedState, after: MixedState, met: Met) -> MixedState:
     """The state after a step, with the extremes of contact of all steps. Gradient: none."""
-    full, missed, speed = (
-        jax.lax.stop_gradient(jnp.maximum(old, new.astype(jnp.result_type(old))))
-        for old, new in ((before.full, met.full), (before.missed, met.missed), (before.speed, met.speed))
-    )
+    extremes = {}
+    for name in ("full", "missed", "speed", "depth"):
+        old = getattr(before, name)
+        extremes[name] = jax.lax.stop_gradient(jnp.maximum(old, getattr(met, name).astype(jnp.result_type(old))))
     own = thin_stepping.remembered(before.thin, after.thin, met.own)
-    return after.replace(thin=own, full=full, missed=missed, speed=speed)
+    return after.replace(thin=own, **extremes)
 
 
 def begin(

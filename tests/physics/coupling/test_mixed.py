@@ -142,6 +142,19 @@ def test_a_particle_that_passes_between_two_searches_is_seen(x64):
     assert int(mixed.check_status(softer, beside)) == Status.CROSSED
 
 
+def test_a_particle_that_is_all_but_through_is_seen_however_slow_and_remembered(x64):
+    """The contact is 4 mm thick."""
+    scene, above = flying(0.0)
+    for height, status in ((8e-4, 0), (3e-4, Status.CROSSED)):
+        x = above.particles.x.at[0, 1].set(height)
+        assert int(mixed.check_status(scene, above.replace(particles=above.particles.replace(x=x)))) == status
+    end = RUN(scene, above.replace(particles=above.particles.replace(x=x)), thin.static_poses(8, dtype=float))
+    assert float(end.depth) == pytest.approx(1.0 - 3e-4 / 4e-3)
+    out = end.replace(particles=above.particles, speed=jnp.zeros(()))
+    assert int(mixed.check_status(scene, out)) == Status.CROSSED
+    assert int(mixed.check_status(scene, out.replace(depth=jnp.zeros(())))) == 0
+
+
 def test_status_remembers_nodes_that_did_not_suffice(x64):
     scene, start = flying(0.0, max_active_nodes=125)
     assert int(mixed.check_status(scene, start)) == 0
