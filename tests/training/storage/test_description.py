@@ -100,7 +100,7 @@ def test_provenance_says_with_what_a_result_was_made(monkeypatch):
 
 
 def test_a_run_has_a_part_for_each_place_where_it_was_trained(monkeypatch):
-    here, there = ({"commit": commit, "processor": "1 x A", "cpp": "on", "jax": "1"} for commit in ("a", "b"))
+    here, there, last = ({"commit": commit, "processor": "1 x A", "cpp": "on", "jax": "1"} for commit in "abc")
     monkeypatch.setattr(description, "provenance", lambda: here)
     first = provenance_of_parts({}, 0)
     assert first == [{"after": 0, **here}] == provenance_of_parts({"provenance": first}, 5)
@@ -108,5 +108,7 @@ def test_a_run_has_a_part_for_each_place_where_it_was_trained(monkeypatch):
     both = provenance_of_parts({"provenance": first}, 5)
     assert both == [*first, {"after": 5, **there}]
     assert provenance_of_parts({"provenance": both}, 3) == [*first, {"after": 3, **there}]  # from an older checkpoint
+    monkeypatch.setattr(description, "provenance", lambda: last)
+    assert provenance_of_parts({"provenance": both}, 5) == [*first, {"after": 5, **last}]  # nothing was trained there
     for by_hand in ("me", [1, {"after": "x"}]):
-        assert provenance_of_parts({"provenance": by_hand}, 3) == [{"after": 3, **there}]
+        assert provenance_of_parts({"provenance": by_hand}, 3) == [{"after": 3, **last}]
