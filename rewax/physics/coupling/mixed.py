@@ -35,6 +35,8 @@ LAYERS = 8
 """Layers of particles that press on the one in front, for ``largest_safe_particle_speed``."""
 DEEPEST = 0.9
 """Depth over thickness beyond which a particle is all but through the cloth, and nothing more holds it back."""
+EXTREMES = ("full", "missed", "speed", "depth")
+"""Numbers of a ``MixedState`` that are the largest of all steps."""
 CROWD = 2
 """Pairs of one particle, and sides of the cloth with particles, for which the stable dt has room."""
 _SCENE = {
@@ -70,7 +72,7 @@ class MixedState(struct.Replaceable):
 
     def __post_init__(self) -> None:
         # The types of a step's result: a weak one would compile the next step again.
-        for name in ("full", "missed", "speed", "depth"):
+        for name in EXTREMES:
             value = getattr(self, name)
             if getattr(value, "weak_type", False):
                 object.__setattr__(self, name, jnp.asarray(value, value.dtype))
@@ -215,9 +217,8 @@ STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
     particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, or that was
-    pressed through nine tenths of the contact's thickness,
-    ``INACTIVE_NODES`` for too short a list of nodes or a particle that moved too far between two searches, all three
-    in any step so far.
+    pressed through nine tenths of the contact's thickness, ``INACTIVE_NODES`` for too short a list of nodes or a
+    particle that moved too far between two searches, all three in any step so far.
 
     Args:
       scene: the scene.

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling import nodes, sheets
 from rewax.physics.coupling.exchange import Received, System
-from rewax.physics.coupling.mixed import MixedScene, MixedState
+from rewax.physics.coupling.mixed import EXTREMES, MixedScene, MixedState
 from rewax.physics.coupling.nodes import NodeContact
 from rewax.physics.coupling.particle_contact import (
     ParticlePairs,
@@ -157,7 +157,7 @@ def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Consta
 def remembered(before: MixedState, after: MixedState, met: Met) -> MixedState:
     """The state after a step, with the extremes of contact of all steps. Gradient: none."""
     extremes = {}
-    for name in ("full", "missed", "speed", "depth"):
+    for name in EXTREMES:
         old = getattr(before, name)
         extremes[name] = jax.lax.stop_gradient(jnp.maximum(old, getattr(met, name).astype(jnp.result_type(old))))
     own = thin_stepping.remembered(before.thin, after.thin, met.own)
