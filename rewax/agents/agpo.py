@@ -20,7 +20,7 @@ simulation's gradient by that of a critic where a batch of gradients varies much
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,7 @@ class AGPOConfig(SAPOConfig):
       variance_decay: decay of the running mean of the variances per iteration.
     """
 
+    extends: ClassVar[str] = "sapo_agpo"
     max_ratio: Positive = 10.0
     variance_decay: Share = 0.9
 

@@ -61,6 +61,8 @@ class RunConfig:
     """
 
     least_horizon: ClassVar[int] = 1
+    extends: ClassVar[str] = ""
+    """Name of the algorithm of a configuration that adds options to those of another algorithm."""
     num_envs: Count = 32
     horizon: int = 32
     num_iterations: Count = 4000
@@ -80,7 +82,7 @@ class RunConfig:
         Raises:
           ValueError: it is that of another algorithm.
         """
-        if config is not None and not isinstance(config, cls):
+        if config is not None and not (isinstance(config, cls) and config.extends == cls.extends):
             raise ValueError(
                 f"config is of type {type(config).__name__}: give a {cls.__name__}, or None for its defaults"
             )

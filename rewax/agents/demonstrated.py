@@ -20,7 +20,7 @@ import dataclasses
 import functools
 import warnings
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, critic_optimizer, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
-from rewax.agents.optimizers import apply, finite_or_zero
+from rewax.agents.optimizers import apply, finite_or_zero, schedule_at
 from rewax.agents.rollout import Transition, first_episode, masked
 from rewax.agents.run_state import staggered
 from rewax.agents.sapo import Networks, SAPOConfig
@@ -61,6 +61,7 @@ class DemonstratedConfig(SAPOConfig):
         each iteration.
     """
 
+    extends: ClassVar[str] = "sapo_from_demonstrations"
     demonstration_share: Share = 0.5
     sequence_learning_rate: Positive = 1e-2
     cloning_learning_rate: Positive = 2e-3
@@ -79,9 +80,10 @@ class DemonstratedConfig(SAPOConfig):
         return env.episode_length if self.demonstrations(env) else super().differentiated_steps(env)
 
     def second_phase(self, env: Env) -> SAPOConfig:
-        """Options of SAPO in the second phase. Learning rates fall over its iterations.
+        """Options of SAPO in the second phase, with its iterations after a first phase of ``demonstrations``.
 
-        The critics' rate falls in the first phase, too, as fast, and begins anew in the second.
+        Learning rates fall over these iterations; ``on_schedule`` stretches them where the first phase had another
+        length. The critics' rate falls in the first phase, too, as fast, and begins anew in the second.
         """
         left = self.num_iterations - self.demonstrations(env) * env.episode_length // self.horizon
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(SAPOConfig)}
@@ -207,7 +209,20 @@ def reinforcement_step(config: DemonstratedConfig, state: DemonstratedState) -> 
     fresh = critic_optimizer(make_actor_critic(env, options)).init(state.critic_params)
     begins = state.iteration == shown_so_far(state)
     opt = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, state.critic_opt)
-    return sapo.train_step(options, state.replace(critic_opt=opt))
+    return sapo.train_step(options, on_schedule(config, state.replace(critic_opt=opt)))
+
+
+def on_schedule(config: DemonstratedConfig, state: DemonstratedState) -> DemonstratedState:
+    """The state with learning rates that fall until the run's last iteration, also if the first phase was that of a
+    run with another number of iterations."""
+    env, shown = state.environments.env.first(), shown_so_far(state)
+    planned = config.second_phase(env).num_iterations
+    left = jnp.maximum(config.num_iterations - shown * env.episode_length // config.horizon, 1)
+    iteration = (state.iteration - shown) * planned // left
+    passed = iteration * config.critic_passes * config.critic_minibatches
+    return state.replace(
+        actor_opt=schedule_at(state.actor_opt, iteration), critic_opt=schedule_at(state.critic_opt, passed)
+    )
 
 
 def clone(

@@ -20,7 +20,7 @@ Gradients?" (arXiv 2604.18161). Only its abstract was used; the estimator is our
 
 import dataclasses
 import functools
-from typing import TypeAlias, TypeVar
+from typing import ClassVar, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +53,7 @@ class IVWConfig(SAPOConfig):
       variance_floor: lower bound of a variance, as a share of the mean variance; it bounds the weights.
     """
 
+    extends: ClassVar[str] = "sapo_ivw"
     variance_decay: Share = 0.9
     variance_floor: Positive = 0.1
 

@@ -44,6 +44,9 @@ from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
 
+_LARGEST_LOG_RATIO = 20.0
+"""Limit of the logarithm of the probability ratio, far outside of the clip range. Beyond 88 the ratio overflows in
+float32, and one such sample would make the gradient of its minibatch NaN."""
 _RATES = Legal("give two positive numbers in ascending order", lambda v: INTERVAL.holds(v) and v[0] > 0.0)
 _FIXED_RATE = "give a positive number, or None for a fixed learning rate"
 
@@ -173,6 +176,8 @@ def train_step(config: PPOConfig, state: PPOState) -> tuple[PPOState, Metrics]:
     """One iteration: rollouts, then several epochs on them."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key, epoch_key = jax.random.split(state.key, 3)
+    if config.target_kl is None:  # a run may be resumed with another rate
+        state = state.replace(learning_rate=jnp.full((), float(config.actor_learning_rate)))
 
     rollout_of_one = functools.partial(act, networks=networks)
     end, t = state.environments.map(rollout_of_one, state.common(), state.environments.split(rollout_key))
@@ -285,7 +290,9 @@ def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch)
     before = TanhNormal(mean=batch.mean, log_std=batch.log_std)
     log_prob = jax.vmap(TanhNormal.log_prob_raw)(now, batch.raw)
     kl = jax.vmap(TanhNormal.kl_divergence)(before, now)
-    ratio = jnp.exp(log_prob - batch.log_prob)
+    log_ratio = log_prob - batch.log_prob
+    excess = jnp.maximum(log_ratio - _LARGEST_LOG_RATIO, 0.0)
+    ratio = jnp.exp(log_ratio - jax.lax.stop_gradient(excess))  # its derivative is the ratio times that of the log
     clipped = jnp.clip(ratio, 1.0 - config.clip_range, 1.0 + config.clip_range)
     gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)  # eq. 7
     error = 0.5 * (networks.values(critic_params, batch.obs)[:, 0] - batch.target) ** 2

@@ -6,6 +6,7 @@ import functools
 import importlib
 import keyword
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from rewax.agents.base import Agent
@@ -20,33 +21,48 @@ class Algorithm(NamedTuple):
       make: ``(env, config) -> Agent``, with the keyword ``randomize`` of ``make_sapo``.
       config_type: frozen dataclass of hyper-parameters: a ``RunConfig``, or another with its fields.
       preset: ``(env_name, scale) -> config``: tuned hyper-parameters, or defaults.
+      changes: options with another default than that of ``config_type``, for ablations.
     """
 
     make: Callable[..., Agent]
     config_type: type[RunConfig]
     preset: Callable[[str, str], RunConfig]
+    changes: Mapping[str, Value] = MappingProxyType({})
+
+    def defaults(self) -> RunConfig:
+        """The configuration of ``make_agent`` without one."""
+        return self.config_type(**self.changes)
 
 
-def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
+def _own(name: str, config: str) -> Callable[[], Algorithm]:
     """An algorithm of this package, imported on first use."""
 
     def load() -> Algorithm:
         module = importlib.import_module(f"rewax.agents.{name}")
         presets = importlib.import_module("rewax.agents.presets")
-        tuned = getattr(presets, f"{preset or name}_preset")
-        return Algorithm(getattr(module, f"make_{name}"), getattr(module, config), tuned)
+        preset = getattr(presets, f"{name}_preset")
+        return Algorithm(getattr(module, f"make_{name}"), getattr(module, config), preset)
 
     return load
 
 
-def _variant(of: str, changes: Mapping[str, Value]) -> Callable[[], Algorithm]:
-    """A registered algorithm with some options changed in all its presets."""
+def _variant(of: str, changes: Mapping[str, Value], preset: str = "") -> Callable[[], Algorithm]:
+    """A registered algorithm with some options changed in its defaults and, unless there is a preset, in all of its."""
 
     def load() -> Algorithm:
         known = algorithm(of)
-        return known._replace(preset=functools.partial(_changed_preset, known.preset, tuple(changes.items())))
+        presets = importlib.import_module("rewax.agents.presets")
+        changed_preset = functools.partial(_changed_preset, known.preset, tuple(changes.items()))
+        changed = known._replace(preset=getattr(presets, preset) if preset else changed_preset, changes=changes)
+        return changed._replace(make=functools.partial(_make_variant, known.make, changed.defaults()))
 
     return load
+
+
+def _make_variant(
+    make: Callable[..., Agent], defaults: RunConfig, env: Env, config: RunConfig | None = None, **options: object
+) -> Agent:
+    return make(env, defaults if config is None else config, **options)
 
 
 def _changed_preset(
@@ -77,7 +93,7 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "sapo_hard_return": _variant("sapo", {"entropy_in_return": False}),
     "sapo_no_actor_entropy": _variant("sapo", {"entropy_in_return": False, "entropy_in_loss": False}),
     "shac2": _variant("sapo", _NO_ENTROPY),
-    "apg_full": _own("apg", "APGConfig", "apg_full"),
+    "apg_full": _variant("apg", {"horizon": 0}, "apg_full_preset"),
 }
 
 _OPTIONS = (
@@ -143,6 +159,6 @@ def build_agent(name: str, env: Env, config: RunConfig) -> Agent:
 
 
 def make_agent(name: str, env: Env, config: RunConfig | None = None, **options: object) -> Agent:
-    """An agent of a registered algorithm. ``config`` None: the defaults of ``config_type``."""
+    """An agent of a registered algorithm. ``config`` None: the defaults, and an ablation's changes of them."""
     known = algorithm(name)
-    return known.make(env, known.config_type() if config is None else config, **options)
+    return known.make(env, known.defaults() if config is None else config, **options)

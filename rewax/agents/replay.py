@@ -85,6 +85,12 @@ def add(replay: Replay, steps: Step) -> Replay:
     return Replay(steps=jax.tree.map(write, replay.steps, steps), count=replay.count + length)
 
 
+def ended(replay: Replay) -> Replay:
+    """The buffer whose newest steps are the last of their episodes: what is added next belongs to other ones."""
+    newest = (replay.count - 1) % replay.capacity
+    return replay.replace(steps=replay.steps._replace(done=replay.steps.done.at[newest].set(True)))
+
+
 def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discount: float) -> Sample:
     """n-step transitions from uniformly drawn first steps.
 

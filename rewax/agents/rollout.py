@@ -90,7 +90,7 @@ def rollout(
       num_active: the environment stands still after this many steps, at most ``horizon``; None: it never does. Under
         ``vmap`` with one number for all environments, further steps are not computed.
       probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
-        state t.
+        state t, without that of the episode's drawn parameters (``State.drawn``).
 
     Returns:
       Final state, and transitions with leading axis (horizon,). Gradient: through actions, physics, observations and
@@ -117,7 +117,7 @@ def rollout(
     def step(state: State, given: tuple[Key, Array | None, Array | None, PyTree, Array]) -> tuple[State, Transition]:
         key, factor, probe, own, active = given
         if probe is not None:
-            state = probed(state, probe)
+            state = probed(state.replace(drawn=None), probe).replace(drawn=state.drawn)
         if factor is not None:
             state = scale_gradient(state, factor)
         if num_active is None:

@@ -12,7 +12,8 @@ Differences from their code:
 import dataclasses
 import functools
 import warnings
-from typing import Annotated, TypeAlias
+from collections.abc import Hashable
+from typing import Annotated, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -106,6 +107,10 @@ class SACState(SoftState):
     """
 
     replay: Replay
+
+    def restarted(self, config: Hashable) -> Self:
+        """See ``RunState.restarted``. Stored steps are not continued by those of the new episodes."""
+        return SoftState.restarted(self, config).replace(replay=replays.ended(self.replay))
 
 
 def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:

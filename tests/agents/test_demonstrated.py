@@ -5,11 +5,12 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from agent_cases import CASES, ENV, agent
 
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.demonstrated import DemonstratedConfig, clone, cloning_loss, make_demonstrated
+from rewax.agents.demonstrated import DemonstratedConfig, clone, cloning_loss, make_demonstrated, on_schedule
 from rewax.agents.presets import demonstrated_preset, sapo_preset
 from rewax.agents.registry import make_agent
 from rewax.agents.rollout import Transition, first_episode
@@ -63,6 +64,29 @@ def test_a_run_with_more_iterations_stays_in_its_second_phase():
     new, metrics = make_agent(NAME, ENV, longer).train_step(state)
     np.testing.assert_array_equal(new.actions, state.actions)
     assert np.isfinite(metrics["entropy"]) and np.isnan(metrics["cloning_loss"])
+
+
+def counts_of(state):
+    """Numbers of updates from which the learning rates of actor and critics follow."""
+    is_schedule = lambda part: isinstance(part, optax.ScaleByScheduleState)  # noqa: E731
+    leaves = jax.tree.leaves((state.actor_opt, state.critic_opt), is_leaf=is_schedule)
+    return [int(part.count) for part in leaves if is_schedule(part)]
+
+
+def test_learning_rates_of_a_longer_run_fall_until_its_end():
+    """Of 40 iterations of 4 steps, 35 are left after a first phase of 4 sequences of 5 steps, and 20 were planned."""
+    config = dataclasses.replace(CASES[NAME].config, num_iterations=40)
+    assert config.second_phase(ENV).num_iterations == 20
+    state = agent(NAME).init(jax.random.key(0))
+    each = config.critic_passes * config.critic_minibatches
+
+    def after(first, second):
+        opt = jax.tree.map(lambda a: jnp.full_like(a, first) if a.dtype == jnp.int32 else a, state.actions_opt)
+        return on_schedule(config, state.replace(actions_opt=opt, iteration=jnp.asarray(first + second, jnp.int32)))
+
+    assert [counts_of(after(4, n)) for n in (0, 7, 35)] == [[0, 0], [4, 4 * each], [20, 20 * each]]
+    planned = config.demonstrations(ENV)
+    assert [counts_of(after(planned, n)) for n in (0, 7, 20)] == [[0, 0], [7, 7 * each], [20, 20 * each]]
 
 
 def test_cloning_loss_is_a_mean_squared_error():

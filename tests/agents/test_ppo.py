@@ -60,6 +60,34 @@ def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
     np.testing.assert_allclose(metrics["kl"], kl, rtol=1e-3)
 
 
+@pytest.mark.parametrize("advantage", [-1.0, 1.0])
+def test_samples_of_very_different_probability_leave_the_gradient_finite(advantage):
+    """Of a masked one nothing counts; of one that counts, the gradient has the direction of the plain one."""
+    networks = make_actor_critic(ENV, CONFIG)
+    actor = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
+    critic = networks.critics.init(jax.random.key(1), {"x": jnp.zeros(1)})
+    batch, now = batch_of(networks, actor, jax.random.key(2))
+    batch = batch._replace(advantage=jnp.full(6, advantage))
+
+    def gradient(batch):
+        loss = lambda params: ppo_loss((params, critic), networks=networks, batch=batch)[0]  # noqa: E731
+        return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(jax.grad(loss)(actor))])
+
+    plain = gradient(batch)
+    masked = gradient(batch._replace(log_prob=batch.log_prob.at[2].set(-100.0)))
+    np.testing.assert_allclose(masked, plain, rtol=1e-5)
+    assert np.abs(plain).max() > 0.0
+
+    only = batch._replace(weight=jnp.zeros(6).at[1].set(1.0))
+    far = gradient(only._replace(log_prob=only.log_prob.at[1].set(-100.0)))
+    assert np.all(np.isfinite(far))
+    if advantage > 0:
+        np.testing.assert_array_equal(far, 0.0)  # clipped
+    else:
+        near = gradient(only._replace(log_prob=jax.vmap(type(now).log_prob_raw)(now, only.raw)))
+        np.testing.assert_allclose(far, np.exp(20.0) * near, rtol=1e-4)
+
+
 def test_the_norms_of_the_gradients_of_actor_and_critic_are_apart():
     networks, state = make_actor_critic(ENV, CONFIG), agent("ppo").init(jax.random.key(0))
     batch, _ = batch_of(networks, state.actor_params, jax.random.key(2))
@@ -98,6 +126,18 @@ def test_the_learning_rate_follows_the_divergence():
     fixed = make_agent("ppo", ENV, dataclasses.replace(CONFIG, target_kl=None, epochs=1))
     _, metrics = fixed.train_step(fixed.init(jax.random.key(0)))
     assert float(metrics["learning_rate"]) == pytest.approx(CONFIG.actor_learning_rate)
+
+
+def test_a_resumed_run_follows_another_fixed_learning_rate():
+    config = dataclasses.replace(CONFIG, target_kl=None, epochs=1, minibatches=1)
+    slow, fast = (dataclasses.replace(config, actor_learning_rate=rate) for rate in (1e-3, 2e-3))
+    start = make_agent("ppo", ENV, slow).init(jax.random.key(0))
+    (a, _), (b, metrics) = (make_agent("ppo", ENV, config).train_step(start) for config in (slow, fast))
+    moved = [
+        np.asarray(jax.tree.leaves(new.actor_params)[0] - jax.tree.leaves(start.actor_params)[0]) for new in (a, b)
+    ]
+    np.testing.assert_allclose(moved[1], 2.0 * moved[0], atol=1e-7)
+    assert np.abs(moved[0]).max() > 1e-4 and float(metrics["learning_rate"]) == pytest.approx(2e-3)
 
 
 def test_minibatches_divide_the_samples():

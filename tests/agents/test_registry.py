@@ -1,5 +1,7 @@
 """Algorithms by name."""
 
+import dataclasses
+
 import pytest
 import toys
 
@@ -31,6 +33,34 @@ def test_the_configuration_of_another_algorithm_is_refused(name):
     sentence = f"config is of type RunConfig: give a {known.config_type.__name__}, or None for its defaults"
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         known.make(toys.point_mass(), RunConfig())
+
+
+@pytest.mark.parametrize("name", ["sapo_ivw", "sapo_agpo", "sapo_from_demonstrations"])
+def test_an_extended_configuration_is_that_of_its_algorithm_alone(name):
+    extended = algorithm(name).config_type
+    assert issubclass(extended, SAPOConfig)
+    with pytest.raises(ValueError, match=f"^config is of type {extended.__name__}: give a SAPOConfig, or None for its"):
+        make_sapo(toys.point_mass(), extended())
+
+    class Mine(SAPOConfig):
+        pass
+
+    assert SAPOConfig.given(Mine()) == Mine()
+    with pytest.raises(ValueError, match=f"^config is of type Mine: give a {extended.__name__}, or None"):
+        extended.given(Mine())
+
+
+def test_an_ablation_without_a_configuration_has_its_changes():
+    for name in ("shac2", "sapo_hard_targets", "sapo_hard_return", "sapo_no_actor_entropy", "apg_full"):
+        known = algorithm(name)
+        expected = dataclasses.replace(known.config_type(), **known.changes)
+        assert expected != known.config_type()
+        made = make_agent(name, toys.point_mass()), known.make(toys.point_mass())
+        assert [agent.config for agent in made] == [expected] * 2
+        preset = known.preset("RollingFlat", "small")
+        assert {field: getattr(preset, field) for field in known.changes} == dict(known.changes)
+    assert not make_agent("shac2", toys.point_mass()).config.learn_temperature
+    assert make_agent("apg_full", toys.point_mass()).config.horizon == 0
 
 
 def test_an_algorithm_of_ones_own(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rewax.agents.replay import Step, add, bytes_of, make_replay, return_scale, sample
+from rewax.agents.replay import Step, add, bytes_of, ended, make_replay, return_scale, sample
 
 NUM_ENVS, CAPACITY, DISCOUNT = 2, 8, 0.5
 
@@ -40,6 +40,16 @@ def test_the_oldest_steps_are_overwritten():
     assert set(times) == set(range(4, 12))
     np.testing.assert_array_equal(drawn.next_obs["x"], drawn.obs["x"] + 0.5)
     assert bytes_of(steps(0, 1), CAPACITY) == CAPACITY * NUM_ENVS * (4 * 4 + 3)
+
+
+def test_samples_do_not_continue_over_an_end():
+    replay = add(ended(add(empty(), steps(0, 4))), steps(4, 4))
+    drawn = sample(replay, jax.random.key(0), 200, num_steps=3, discount=DISCOUNT)
+    first, last = (np.asarray(obs["x"][:, 0]) // 10 for obs in (drawn.obs, drawn.next_obs))
+    np.testing.assert_array_equal(last, np.where(first < 4, np.minimum(first + 2, 3), np.minimum(first + 2, 7)))
+    assert np.all(drawn.discount > 0.0)  # no episode terminated: the value of the last state counts
+    again = add(ended(empty()), steps(0, 4))
+    assert not np.any(again.steps.done[:4])
 
 
 def expected(start, env, n, terminated, done, valid, count):

@@ -7,6 +7,7 @@ import pytest
 import toys
 
 from rewax.agents.rollout import first_episode, rollout
+from rewax.envs.randomized import Randomized
 from rewax.envs.wrappers import AutoReset
 
 LENGTH, HORIZON, GAIN = 4, 6, 0.5
@@ -42,6 +43,29 @@ def runs(state):
         return jax.jit(jax.value_and_grad(total, has_aux=True))(0.4)
 
     return {d: both(d) for d in ("full", "checkpointed", "none")}
+
+
+def test_probes_do_not_see_the_gradient_by_drawn_parameters(state):
+    """It adds up over the steps, in the parameter's own unit, and would hide how the state's gradient grows."""
+    drawing = AutoReset(
+        env=Randomized(env=toys.point_mass(LENGTH), randomize=lambda key, env: env.replace(gain=1.0 * env.gain))
+    )
+
+    def norms(env):
+        begin = env.reset(jax.random.key(0)).replace(physics=state.physics, obs=state.obs)
+        assert bool(begin.drawn) == (env is drawing)
+
+        def total(probes):
+            _, t = rollout(
+                env, begin, proportional(0.4), jax.random.key(1), horizon=3, differentiate="full", probes=probes
+            )
+            return t.reward.sum()
+
+        return jax.jit(jax.grad(total))(jnp.zeros(3))
+
+    fixed = norms(ENV)
+    assert fixed[0] > 0.1
+    np.testing.assert_allclose(norms(drawing), fixed, rtol=1e-5)
 
 
 def test_records_every_step(runs, state):

@@ -110,6 +110,16 @@ def test_the_buffer_is_changed_in_place():
     assert old.is_deleted()
 
 
+def test_stored_steps_end_where_environments_restart():
+    """As after a change of the simulation, with which a checkpoint's episodes cannot go on."""
+    state, _ = agent("sac").train_step(agent("sac").init(jax.random.key(0)))
+    horizon = CONFIG.horizon
+    before, new = state.replay, state.restarted(CONFIG)
+    assert not np.all(before.steps.done[horizon - 1]) and np.all(new.replay.steps.done[horizon - 1])
+    np.testing.assert_array_equal(new.replay.steps.done[: horizon - 1], before.steps.done[: horizon - 1])
+    assert np.any(new.environments.state.physics != state.environments.state.physics)
+
+
 def test_options_that_cannot_be():
     with pytest.raises(ValueError, match="replay_size is 100, less than the 1024 steps of one iteration"):
         SACConfig(replay_size=100)
