@@ -126,15 +126,16 @@ def policy(run: SavedRun, num: int, deterministic: bool) -> Callable[[np.ndarray
 
 def main(args: Args) -> int:
     run = load_run(args.run) if args.run else rewax.load_policy("AntRun", scale="paper")
-    print("| mass matrix | actions | rewax | Rewarped | one control step: median, largest difference | speed |")
-    print("|---|---|---|---|---|---|")
+    columns = "mass matrix | actions | rewax | Rewarped | median difference [m/s] | largest [m/s] | steps | speed [m/s]"
+    print(f"| {columns} |")
+    print("|---|---|---|---|---|---|---|---|")
     for name, every in (("renewed at every substep", RENEWED), ("kept for a control step", KEPT)):
         for how in ("sampled", "deterministic"):
             ours = in_rewax(run, args, stale=every == KEPT, deterministic=how == "deterministic")
             theirs, seen = in_rewarped(run, args, every=every, deterministic=how == "deterministic")
             off = differences(seen, stale=every == KEPT)
-            step = f"{np.median(off):.3g}, {off.max():.3g} m/s of {len(off)}"
-            speed = f"{np.linalg.norm(seen.after[:, VELOCITY], axis=1).mean():.3g} m/s"
+            step = f"{np.median(off):.3g} | {off.max():.3g} | {len(off)}"
+            speed = f"{np.linalg.norm(seen.after[:, VELOCITY], axis=1).mean():.3g}"
             print(f"| {name} | {how} | {cell(ours)} | {cell(theirs)} | {step} | {speed} |", flush=True)
     return 0
 

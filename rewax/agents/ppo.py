@@ -15,6 +15,7 @@ Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Differences from the
 - Adam's epsilon is 1e-8. Theirs is 1e-5.
 - At a time limit, the value is that of the last observation of the episode.
 - Failed steps are masked.
+- A probability ratio above e^20 counts as e^20.
 - A policy with memory is recomputed through time: minibatches are whole environments, and the memory begins as it was
   at the first step of the rollout.
 """
