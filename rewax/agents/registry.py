@@ -7,7 +7,7 @@ import importlib
 import keyword
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rewax.agents.base import Agent
 from rewax.agents.config import RunConfig, Value
@@ -27,7 +27,7 @@ class Algorithm(NamedTuple):
     make: Callable[..., Agent]
     config_type: type[RunConfig]
     preset: Callable[[str, str], RunConfig]
-    changes: Mapping[str, Value] = MappingProxyType({})
+    changes: Mapping[str, Any] = MappingProxyType({})
 
     def defaults(self) -> RunConfig:
         """The configuration of ``make_agent`` without one."""

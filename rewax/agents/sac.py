@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import warnings
 from collections.abc import Hashable
-from typing import Annotated, Self, TypeAlias
+from typing import Annotated, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +110,8 @@ class SACState(SoftState):
 
     def restarted(self, config: Hashable) -> Self:
         """See ``RunState.restarted``. Stored steps are not continued by those of the new episodes."""
-        return SoftState.restarted(self, config).replace(replay=replays.ended(self.replay))
+        state = cast(Self, SoftState.restarted(self, config))
+        return state.replace(replay=replays.ended(self.replay))
 
 
 def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
