@@ -26,10 +26,9 @@ from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, Combination, Division, FirstOrderConfig, Optimizer
-from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
+from rewax.agents.first_order import Rollout, actor_step, at_iteration, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.legal import AT_LEAST_2, Positive
-from rewax.agents.optimizers import schedule_at
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
@@ -137,11 +136,7 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
 
 def on_schedule(config: AHACConfig, state: AHACState) -> AHACState:
     """The state with learning rates that belong to its control steps, whatever the number of its iterations."""
-    iteration = state.env_steps // (config.num_envs * config.initial_horizon)
-    passed = iteration * config.critic_passes * config.critic_minibatches
-    return state.replace(
-        actor_opt=schedule_at(state.actor_opt, iteration), critic_opt=schedule_at(state.critic_opt, passed)
-    )
+    return at_iteration(config, state, state.env_steps // (config.num_envs * config.initial_horizon))
 
 
 def actor_loss(

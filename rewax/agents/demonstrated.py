@@ -31,10 +31,10 @@ from rewax.agents import sapo, trajopt
 from rewax.agents.actor_critic import actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import no_memory
-from rewax.agents.first_order import Rollout, critic_optimizer, critic_update, start_actor_critic
+from rewax.agents.first_order import Rollout, at_iteration, critic_optimizer, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
-from rewax.agents.optimizers import apply, finite_or_zero, schedule_at
+from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import Transition, first_episode, masked
 from rewax.agents.run_state import staggered
 from rewax.agents.sapo import Networks, SAPOConfig
@@ -218,11 +218,7 @@ def on_schedule(config: DemonstratedConfig, state: DemonstratedState) -> Demonst
     env, shown = state.environments.env.first(), shown_so_far(state)
     planned = config.second_phase(env).num_iterations
     left = jnp.maximum(config.num_iterations - shown * env.episode_length // config.horizon, 1)
-    iteration = (state.iteration - shown) * planned // left
-    passed = iteration * config.critic_passes * config.critic_minibatches
-    return state.replace(
-        actor_opt=schedule_at(state.actor_opt, iteration), critic_opt=schedule_at(state.critic_opt, passed)
-    )
+    return at_iteration(config, state, (state.iteration - shown) * planned // left)
 
 
 def clone(

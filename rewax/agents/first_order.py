@@ -13,7 +13,7 @@ from rewax.agents.base import Metrics
 from rewax.agents.config import AnyPolicyConfig, Combination, FirstOrderConfig
 from rewax.agents.gradients import Loss, mean_gradient, per_env_gradients
 from rewax.agents.legal import EnvLimit
-from rewax.agents.optimizers import apply
+from rewax.agents.optimizers import apply, schedule_at
 from rewax.agents.returns import short_horizon_return, td_lambda
 from rewax.agents.rollout import Transition
 from rewax.agents.run_state import ActorCriticState, PolicyState, run_keys, start_environments
@@ -158,6 +158,14 @@ def critic_optimizer(networks: Networks) -> optax.GradientTransformation:
     """The critics' optimizer for ``fit_values``. Its learning rate falls linearly over the iterations."""
     config = networks.config
     return networks.falling_optimizer(config.critic_learning_rate, config.critic_passes * config.critic_minibatches)
+
+
+def at_iteration(config: FirstOrderConfig, state: A, iteration: Array) -> A:
+    """The state with the learning rates of an iteration, whatever the number of iterations so far. All else stays."""
+    passed = iteration * config.critic_passes * config.critic_minibatches
+    return state.replace(
+        actor_opt=schedule_at(state.actor_opt, iteration), critic_opt=schedule_at(state.critic_opt, passed)
+    )
 
 
 def critic_chunk(networks: Networks) -> int:

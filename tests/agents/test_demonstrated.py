@@ -64,6 +64,8 @@ def test_a_run_with_more_iterations_stays_in_its_second_phase():
     new, metrics = make_agent(NAME, ENV, longer).train_step(state)
     np.testing.assert_array_equal(new.actions, state.actions)
     assert np.isfinite(metrics["entropy"]) and np.isnan(metrics["cloning_loss"])
+    each = config.critic_passes * config.critic_minibatches
+    assert counts_of(new) == [1, each], "240 of 420 iterations were planned, so one is less than one of the schedule"
 
 
 def counts_of(state):
