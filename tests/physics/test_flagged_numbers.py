@@ -140,7 +140,7 @@ def test_tet_scenes_flag_every_leaf():
     mesh = tetmesh.box((0.2, 0.2, 0.2), (1, 1, 1))
     made = tets.make_scene(
         mesh=mesh, density=1000.0, mu=4e4, lam=6e4, dt=1e-4, damping=0.1, held=[0],
-        contact=PenaltyContact(stiffness=1e3, damping=1.0, friction=0.5), ground=Ground(normal=np.eye(3)[1]),
+        contact=PenaltyContact(stiffness=1e3, damping=1.0, friction_damping=1.0, friction=0.5), ground=Ground(normal=np.eye(3)[1]),
         colliders=(Collider(shape=Capsule(radius=0.05, half_length=0.1), friction=0.5),),
     )  # fmt: skip
     made = jax.tree.map(jnp.asarray, made)

@@ -182,7 +182,7 @@ def test_a_grid_of_lists_and_arrays_is_the_grid_of_tuples():
 
 
 MESH = tetmesh.box((0.2, 0.2, 0.2), (1, 1, 1))
-CONTACT = PenaltyContact(stiffness=1e3, damping=1.0, friction=0.5)
+CONTACT = PenaltyContact(stiffness=1e3, damping=1.0, friction_damping=1.0, friction=0.5)
 FLOOR = Ground(normal=np.array([0.0, 1.0, 0.0]))
 BALL = '<mujoco><worldbody><body><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
 

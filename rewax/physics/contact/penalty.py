@@ -21,8 +21,9 @@ class PenaltyContact(struct.Replaceable):
     Attributes:
       stiffness: normal force per penetration [N/m], > 0.
       damping: normal force per approaching speed [N s/m], >= 0.
-      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m], >= 0. Explicit integration
-        resolves up to about one vertex mass per dt; far above it, sliding reverses at Coulomb's limit.
+      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m], >= 0, and > 0 where the ground
+        or a collider has friction. Explicit integration resolves up to about one vertex mass per dt; far above it,
+        sliding reverses at Coulomb's limit.
       friction: Coulomb coefficient [-] of the ground, >= 0; colliders have their own.
       radius: a vertex touches when its distance is below this [m], >= 0.
       onset: depth over which both dampings rise to their full value [m]; 0: immediately.

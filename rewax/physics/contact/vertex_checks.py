@@ -8,7 +8,7 @@ from jax.core import Tracer
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.contact_checks import collider_numbers, ground_numbers, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, GRAVITY, Number
+from rewax.physics.numerics.checks import FINITE, GRAVITY, Number, friction_dampings
 from rewax.physics.numerics.fields import check_range
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Scalar
@@ -18,8 +18,12 @@ def contact_numbers(
     contact: PenaltyContact | None, ground: Ground | None, colliders: tuple[Collider, ...], poses: Pose | None = None
 ) -> list[Number]:
     """The numbers of contact law, ground and colliders, with their legal values."""
-    numbers = [] if contact is None else penalty_numbers(contact)
-    return [*numbers, *([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
+    numbers = [*([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
+    if contact is None:
+        return numbers
+    frictions = [*([] if ground is None else [contact.friction]), *(collider.friction for collider in colliders)]
+    sliding = friction_dampings("contact.friction_damping", contact.friction_damping, *frictions)
+    return [*penalty_numbers(contact), *numbers, *sliding]
 
 
 def gravity_number(gravity: Any) -> Number:

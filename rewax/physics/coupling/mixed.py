@@ -21,7 +21,7 @@ from rewax.physics.coupling.triangle_tree import TriangleTree
 from rewax.physics.mpm import stepping as mpm_stepping
 from rewax.physics.mpm.scene import MPMScene, MPMState, check_state, materials_of, particle_mass
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import thin_status
@@ -132,7 +132,7 @@ def make_mixed_scene(*, particles: MPMScene, thin: ThinScene, contact: ParticleC
         ``largest_stable_mixed_dt``, or a ``max_speed`` above ``largest_safe_particle_speed``.
     """
     check_fields(_SCENE, locals())
-    check_numbers(numbers_of(contact, "contact."))
+    check_numbers(contact.legal_numbers("contact"))
     if particles.dt != thin.dt:
         raise ValueError(
             f"particles.dt is {particles.dt:g} s and thin.dt {thin.dt:g} s: give both scenes the smaller one"
@@ -239,7 +239,7 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     fast = jnp.maximum(state.speed, speed) > limit
     deep = jnp.maximum(state.depth, largest_depth(pairs, particles, vertices)) > DEEPEST
     last = None if poses is None else Pose(*(a[-1] for a in poses))
-    bad = any_illegal(numbers_of(scene.contact, "contact."))
+    bad = any_illegal(scene.contact.legal_numbers("contact"))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
     # A coupled step evaluates all colliders, and remembers whether the nodes sufficed.
     grid = scene.particles.replace(max_near_colliders=None, max_active_nodes=None)

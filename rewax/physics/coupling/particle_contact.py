@@ -38,7 +38,7 @@ class ParticleContact(PairContact):
       stiffness: normal force of one particle per depth [N/m].
       damping: normal force per approaching speed [N s/m].
       friction: Coulomb coefficient [-].
-      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m].
+      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m], > 0 with friction.
       max_speed: relative speed of particles and cloth up to which no pair is missed [m/s]; see
         ``largest_safe_particle_speed``.
       every: close pairs are searched every ``every`` substeps (static), or the largest divisor of the number of

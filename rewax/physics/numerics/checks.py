@@ -96,6 +96,28 @@ def unit_vectors(name: str, value: Any) -> list[Number]:
     return [Number(f"the squared length of {name}", squares, Legal(1.0 - 2e-4, 1.0 + 2e-4), "give unit vectors")]
 
 
+def friction_dampings(name: str, friction_damping: Any, *frictions: Any) -> list[Number]:
+    """The friction damping [N s/m] where something rubs, with its legal values; none if these are no numbers.
+
+    Below Coulomb's limit friction is ``friction_damping`` times the sliding speed: with 0 a friction coefficient would
+    have neither an effect nor a gradient.
+
+    Args:
+      name: of the damping in messages.
+      friction_damping: one number, or one per vertex.
+      frictions: Coulomb coefficients [-], likewise.
+    """
+    values = (friction_damping, *frictions)
+    xp = jnp if any(isinstance(value, Tracer) for value in values) else np
+    arrays = [value if isinstance(value, Tracer) else as_array(value) for value in values]
+    vertices = {array.shape for array in arrays} - {()}
+    if not all(jnp.issubdtype(array.dtype, jnp.number) for array in arrays) or len(vertices) > 1:
+        return []
+    rubs = functools.reduce(xp.logical_or, [array > 0 for array in arrays[1:]], np.False_)
+    remedy = "give a number of N s/m, about the mass of a vertex or particle over dt, or a friction of 0"
+    return [Number(f"{name} with friction", xp.where(rubs, arrays[0], 1.0), POSITIVE, remedy)]
+
+
 def check_numbers(numbers: Iterable[Number]) -> None:
     """Raises ValueError for the first illegal number. The message names field, value and remedy.
 

@@ -30,7 +30,8 @@ class Penalty(struct.Replaceable):
     Attributes:
       stiffness: normal force per penetration [N/m].
       damping: normal force per approaching speed [N s/m].
-      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
+      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m]. 0: no friction, whatever
+        the geoms' coefficients, and no gradient by these.
       onset: depth over which both dampings rise to their full value [m]. 0: at once, a jump in time that gradients do
         not see.
       depth_damping: additional normal force per depth and approaching speed [N s/m^2].

@@ -1,6 +1,7 @@
 """Elements of self-contact: vertices, edges and triangles, their order in space, and neighbours that do not touch."""
 
 import heapq
+import math
 from collections import defaultdict
 from typing import NamedTuple
 
@@ -40,6 +41,9 @@ class ContactElements(ByContent):
       near_edges: edges with which each edge does not touch, likewise.
       levels: number of levels of the trees below their roots.
       orders: for vertices, edges and triangles, their order along a tree, see ``tree_order``.
+      largest_thickness: thickness up to which these neighbours are right [m]. Beyond it, elements at rest would repel
+        each other.
+      smallest_height: smallest height of a triangle [m], inf without triangles.
     """
 
     def __init__(self, topology: Topology, vertices: np.ndarray, thickness: float) -> None:
@@ -50,7 +54,9 @@ class ContactElements(ByContent):
         self.is_rope = np.arange(len(self.edges)) >= len(of_cloth)
         self.in_rope = ~np.isin(np.arange(self.num_vertices), self.triangles)
         vertices = np.asarray(vertices, np.float64)
-        near = near_vertices(self.edges, vertices, APART * thickness)
+        near, next_path = near_vertices(self.edges, vertices, APART * thickness)
+        self.largest_thickness = max(thickness, next_path / APART)
+        self.smallest_height = smallest_height(vertices, self.triangles)
         self.near_triangles = _touching(near, [[v] for v in range(self.num_vertices)], self.triangles)
         self.near_edges = _touching(near, self.edges.tolist(), self.edges)
         kinds = (np.arange(self.num_vertices)[:, None], self.edges, self.triangles)
@@ -62,8 +68,9 @@ class ContactElements(ByContent):
         shifted = vertices + [10.0 * np.ptp(vertices, axis=0).max(), 0.0, 0.0] * piece[:, None]
         self.orders = tuple(tree_order(shifted[kind].mean(axis=1), _ARITY**self.levels) for kind in kinds)
         self._vertices = np.arange(self.num_vertices, dtype=np.int32)[:, None]
-        near = self.near_triangles.tobytes(), self.near_edges.tobytes()
-        super().__init__(topology, *near, *map(bytes, self.orders))
+        near_bytes = self.near_triangles.tobytes(), self.near_edges.tobytes()
+        lengths = self.largest_thickness, self.smallest_height
+        super().__init__(topology, *lengths, *near_bytes, *map(bytes, self.orders))
 
     def kinds(self, with_triangles: bool) -> tuple["Kind", "Kind"]:
         """Vertices and triangles, or edges twice."""
@@ -88,16 +95,18 @@ class ContactElements(ByContent):
         )
 
 
-def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> list[set[int]]:
-    """For each vertex those at a path of at most ``reach`` [m] along edges, itself included (Dijkstra's algorithm)."""
+def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> tuple[list[set[int]], float]:
+    """For each vertex those at a path of at most ``reach`` [m] along edges, itself included (Dijkstra's algorithm), and
+    the shortest of all longer paths [m], inf if there is none."""
     length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=-1)
     beside: dict[int, list[tuple[int, float]]] = defaultdict(list)
     for (a, b), size in zip(edges.tolist(), length.tolist(), strict=True):
         beside[a].append((b, size))
         beside[b].append((a, size))
-    found = []
+    found, next_path = [], math.inf
     for start in range(len(vertices)):
         done: set[int] = set()
+        beyond: dict[int, float] = {}
         heap = [(0.0, start)]
         while heap:
             path, at = heapq.heappop(heap)
@@ -105,10 +114,23 @@ def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> list
                 continue
             done.add(at)
             for other, size in beside[at]:
-                if path + size <= reach and other not in done:
+                if other in done:
+                    continue
+                if path + size <= reach:
                     heapq.heappush(heap, (path + size, other))
+                else:
+                    beyond[other] = min(path + size, beyond.get(other, math.inf))
         found.append(done)
-    return found
+        next_path = min([next_path, *(path for other, path in beyond.items() if other not in done)])
+    return found, next_path
+
+
+def smallest_height(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Smallest height of a triangle [m], inf without triangles."""
+    corners = vertices[triangles]
+    sides = [np.linalg.norm(corners[:, k] - corners[:, k - 1], axis=-1) for k in range(3)]
+    twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    return float(np.min(twice / np.max(sides, axis=0), initial=math.inf))
 
 
 def tree_order(centers: np.ndarray, leaves_per_root: int) -> np.ndarray:
@@ -166,4 +188,4 @@ def _pieces(edges: np.ndarray, num_vertices: int) -> np.ndarray:
     return piece
 
 
-__all__ = ["APART", "ContactElements", "Kind", "near_vertices", "tree_order"]
+__all__ = ["APART", "ContactElements", "Kind", "near_vertices", "smallest_height", "tree_order"]

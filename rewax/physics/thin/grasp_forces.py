@@ -8,6 +8,7 @@ import numpy as np
 
 from rewax.lowering.kernels import pointwise
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.clipping import clipped
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
@@ -127,7 +128,7 @@ def body_velocities(scene: "ThinScene", x: Vec3, poses: tuple[Pose, Pose]) -> li
 def _followed(shared: tuple[Grasp, Scalar, Pose, Array], vertices: tuple[HoldParts, Vec3]) -> HoldParts:
     (grasp, dt, body, grip), (hold, x) = shared, vertices
     left = 1.0 - grip
-    follows = 1.0 - jnp.exp(-dt * left * left * left * left / grasp.slip_time)
+    follows = -dd.exp_minus_one(-dt * left * left * left * left / grasp.slip_time)
     now = _in_body(x, body)
     point = cp.vector(lambda i: hold.point[i] + follows * (now[i] - hold.point[i]))
     return HoldParts(point, hold.share + follows * (_reached(grasp, now) - hold.share))

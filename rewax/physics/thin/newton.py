@@ -73,7 +73,8 @@ def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolera
 
     It ends where the preconditioned residual is below ``tolerance`` times its first norm, after ``iterations``, or at a
     direction p with p . matrix(p) <= 0. In the last case x is the solution so far, or the first direction: in both
-    cases x . b > 0.
+    cases x . b > 0. The system is solved for b over its largest component: squares of large or small vectors would
+    leave the range of float32, and 0 would count as their solution.
 
     Gradient: none.
     Source: Nocedal and Wright 2006, "Numerical optimization", algorithm 7.1.
@@ -87,6 +88,9 @@ def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolera
         count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
         negative: Array
 
+    largest = jnp.max(jnp.abs(jnp.stack(b)))
+    scale = jnp.where(largest > 0, largest, 1.0)
+    b = cp.vector(lambda i: b[i] / scale)
     z = precondition(b)
     first = inner(b, z)
     zero = cp.vector(lambda i: jnp.zeros_like(b[i]))
@@ -108,8 +112,9 @@ def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolera
     start = At(zero, b, z, first, jnp.zeros((), jnp.int32), jnp.zeros_like(first, bool))
     end = jax.lax.while_loop(goes_on, step, start)
     # A preconditioner that rounding has made indefinite gives a negative square of a norm, and no solution.
-    positive = (first >= 0) & (end.rz >= 0)
-    return Solved(end.x, (end.rz <= tolerance**2 * first) & positive & ~end.negative, end.negative)
+    positive = (first >= 0) & jnp.isfinite(first) & (end.rz >= 0)
+    x = cp.vector(lambda i: scale * end.x[i])
+    return Solved(x, (end.rz <= tolerance**2 * first) & positive & ~end.negative, end.negative)
 
 
 @pointwise

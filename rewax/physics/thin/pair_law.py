@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.lowering.assembled import assembled
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, static_integer
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, friction_dampings, numbers_of, static_integer
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import closest
 from rewax.types import Array, Scalar
@@ -57,19 +57,25 @@ class PairContact(struct.Replaceable):
             if not each.metadata.get("pytree_node", True):
                 static_integer(each.name, getattr(self, each.name), 1, "give an integer of at least 1")
 
+    def legal_numbers(self, name: str) -> list[Number]:
+        """The numbers of the law, which has this name in messages, with their legal values."""
+        sliding = friction_dampings(f"{name}.friction_damping", self.friction_damping, self.friction)
+        return [*numbers_of(self, f"{name}."), *sliding]
+
 
 @struct.dataclass
 class SelfContact(PairContact):
     """Contact of cloth and ropes with themselves and with each other; see ``pair_law`` for the force.
 
     Attributes:
-      thickness: distance between the middle surfaces of two layers of cloth at which they touch [m].
+      thickness: distance between the middle surfaces of two layers of cloth at which they touch [m]. ``make_scene``
+        finds the neighbours that do not touch; ``check_status`` reports a thickness that would need others.
       rope_thickness: distance between the middle lines of two ropes at which they touch [m]; None: ``thickness``. Rope
         and cloth touch at the mean of both.
       stiffness: normal force per depth of a pair [N/m].
       damping: normal force per approaching speed of a pair [N s/m].
       friction: Coulomb coefficient [-].
-      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m].
+      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m], > 0 with friction.
       max_speed: speed relative to the mean velocity of all vertices up to which no pair is missed [m/s]; see
         ``thin.largest_safe_speed``.
       every: close pairs are searched every ``every`` substeps (static), or the largest divisor of the number of

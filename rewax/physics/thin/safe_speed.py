@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.numerics.checks import check_numbers, numbers_of
-from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.numerics.checks import Legal, Number, check_numbers
+from rewax.physics.thin.contact_elements import ContactElements, smallest_height
 from rewax.physics.thin.pair_law import SelfContact, pair_energy
 from rewax.physics.thin.stencils import Topology
 from rewax.physics.thin.thinmesh import ThinMesh
@@ -45,25 +45,34 @@ def check_self_contact(topology: Topology, mesh: ThinMesh, law: SelfContact | No
     """
     if law is None:
         return None
-    check_numbers(numbers_of(law, "self_contact."))
+    check_numbers(law.legal_numbers("self_contact"))
     if isinstance(law.thickness, Tracer) or isinstance(law.rope(), Tracer):
         raise ValueError(
-            "self_contact.thickness is traced, but says which neighbours do not touch: build the scene with a number, "
-            "then scene.replace(self_contact=...)"
+            "self_contact.thickness is traced, but says which neighbours do not touch: build the scene with the "
+            "largest thickness, then scene.replace(self_contact=...)"
         )
     vertices = np.asarray(mesh.vertices, np.float64)
-    if len(mesh.triangles):
-        corners = vertices[np.asarray(mesh.triangles)]
-        sides = [np.linalg.norm(corners[:, k] - corners[:, k - 1], axis=-1) for k in range(3)]
-        twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
-        height = float(np.min(twice / np.max(sides, axis=0)))
-        if 2.0 * float(law.thickness) > height:
-            raise ValueError(
-                f"self_contact.thickness is {float(law.thickness):g} m, more than half of the smallest height "
-                f"{height:.3g} m of a triangle: take thinner cloth or a coarser mesh"
-            )
+    height = smallest_height(vertices, np.asarray(mesh.triangles))
+    if len(mesh.triangles) and 2.0 * float(law.thickness) > height:
+        raise ValueError(
+            f"self_contact.thickness is {float(law.thickness):g} m, more than half of the smallest height "
+            f"{height:.3g} m of a triangle: take thinner cloth or a coarser mesh"
+        )
     used = [law.rope()] * bool(len(mesh.segments)) + [law.thickness] * bool(len(mesh.triangles))
     return ContactElements(topology, vertices, max(float(k) for k in used))
+
+
+def self_contact_numbers(scene: "ThinScene") -> list[Number]:
+    """The numbers of self-contact with their legal values; a thickness above that of the neighbours is illegal."""
+    law, elements = scene.self_contact, scene.contact_elements
+    if law is None or elements is None:
+        return []
+    most = (1.0 + 1e-5) * elements.largest_thickness  # the limit may be rounded to float32
+    of_cloth, remedy = min(most, (0.5 + 1e-5) * elements.smallest_height), "build the scene with the largest thickness"
+    limits = [("thickness", law.thickness, of_cloth)] * (scene.cloth is not None)
+    limits += [("rope_thickness", law.rope(), most)] * (scene.rope is not None)
+    thicknesses = [Number(f"self_contact.{name}", value, Legal(0.0, limit), remedy) for name, value, limit in limits]
+    return [*law.legal_numbers("self_contact"), *thicknesses]
 
 
 def check_max_speed(scene: "ThinScene") -> None:
@@ -79,4 +88,4 @@ def check_max_speed(scene: "ThinScene") -> None:
         )
 
 
-__all__ = ["check_max_speed", "check_self_contact", "largest_safe_speed"]
+__all__ = ["check_max_speed", "check_self_contact", "largest_safe_speed", "self_contact_numbers"]

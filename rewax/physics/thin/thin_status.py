@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import POSITIVE, Number, any_illegal, numbers_of
+from rewax.physics.numerics.checks import POSITIVE, Number, any_illegal
 from rewax.physics.numerics.fields import checked, instance, optional
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import elements
 from rewax.physics.thin.grasps import grasp_numbers
 from rewax.physics.thin.incremental import inverse_edges
+from rewax.physics.thin.safe_speed import self_contact_numbers
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState, check_vertices
 from rewax.physics.thin.scene_checks import cloth_is_unstable, law_does_not_fit, scene_numbers
 from rewax.physics.thin.self_status import self_status
@@ -52,7 +53,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
         *scene_numbers(
             scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
         ),
-        *([] if scene.self_contact is None else numbers_of(scene.self_contact, "self_contact.")),
+        *self_contact_numbers(scene),
         *grasp_numbers(scene.grasps),
         Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
         Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),

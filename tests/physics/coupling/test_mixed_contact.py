@@ -59,7 +59,9 @@ def test_far_apart_each_moves_as_alone(x64):
 def test_a_free_body_between_both_loses_nothing(x64):
     """A ball flies into the sand that lies on a cloth: all three share its momentum."""
     ball = Collider(shape=Sphere(radius=0.015), friction=0.3)
-    scene, state = touching(colliders=(ball,), contact=PenaltyContact(stiffness=50.0, radius=2e-3))
+    scene, state = touching(
+        colliders=(ball,), contact=PenaltyContact(stiffness=50.0, friction_damping=0.01, radius=2e-3)
+    )
     scene = scene.replace(particles=scene.particles.replace(colliders=(ball,)))
     inertia = free_body.Inertia(mass=jnp.array([0.01]), moment=1e-6 * jnp.eye(3)[None])
     body = free_body.bodies_at_rest(jnp.array([[0.0, -0.012, 0.0]])).replace(velocity=jnp.array([[0.0, 0.4, 0.1]]))

@@ -18,6 +18,7 @@ from rewax.physics.numerics.checks import (
     check_enum,
     check_number,
     check_numbers,
+    friction_dampings,
     numbers_of,
     static_integer,
     static_number,
@@ -78,6 +79,31 @@ def test_long_arrays_and_several_of_a_kind_are_flagged():
 def test_what_is_no_number_is_refused(value):
     with pytest.raises(ValueError, match=r"^share is .*, which is no real number: give a share$"):
         check_number("share", value, SHARE, "give a share")
+
+
+@pytest.mark.parametrize(
+    ("damping", "frictions", "illegal"),
+    [
+        (0.0, (0.0, 0.0), False),
+        (0.1, (0.0, 0.5), False),
+        (0.0, (0.0, 0.5), True),
+        (np.array([0.0, 0.1]), (np.array([0.0, 0.5]),), False),
+        (np.array([0.0, 0.1]), (np.array([0.5, 0.5]),), True),
+        (np.array([0.0, 0.1]), (0.5,), True),
+        (0.0, (np.array([0.0, 0.5]), 0.0), True),
+    ],
+)
+def test_friction_needs_its_damping_where_something_rubs(damping, frictions, illegal):
+    numbers = friction_dampings("contact.friction_damping", damping, *frictions)
+    assert bool(any_illegal(numbers)) == illegal
+    assert bool(jax.jit(lambda d, *f: any_illegal(friction_dampings("", d, *f)))(damping, *frictions)) == illegal
+    if illegal:
+        with pytest.raises(ValueError, match=r"friction_damping with friction.* must be positive.*a friction of 0"):
+            check_numbers(numbers)
+
+
+def test_friction_of_another_form_is_left_to_other_checks():
+    assert friction_dampings("d", "words", 0.5) == [] and friction_dampings("d", np.zeros(3), np.ones(2)) == []
 
 
 def test_a_missing_number_is_refused():

@@ -63,3 +63,18 @@ def test_holds_follow_at_their_rate(x64):
     for one, two, found in ((start.point, there.point, end.point), (start.share, there.share, end.share)):
         np.testing.assert_allclose(found - one, follows * (two - one), rtol=1e-8, atol=1e-15)
     assert 0.0 < float(start.share.max()) <= 1.0
+
+
+def test_a_nearly_closed_grip_creeps_in_single_precision_too():
+    """1 - exp(-rate) would be rounded to a multiple of 6e-8, or to 0."""
+    grasp = thin.Grasp(stiffness=70.0, slip_time=2e-3, vertices=tuple(range(len(SHEET.vertices))))
+    scene, state = cloth_scene(grasps=(grasp,)), shaken(SHEET)
+    x = cp.split_vector(state.x.astype(jnp.float32))
+    hold = Hold(point=jnp.zeros(state.x.shape, jnp.float32), share=jnp.ones(len(state.x), jnp.float32))
+    poses = Pose(jnp.zeros((1, 3), jnp.float32), jnp.eye(3, dtype=jnp.float32)[None])
+    (end,) = grasp_forces.join_holds(
+        grasp_forces.followed(scene, grasp_forces.split_holds((hold,)), x, poses, jnp.array([0.98], jnp.float32))
+    )
+    follows = -np.expm1(-scene.dt * (1.0 - np.float64(np.float32(0.98))) ** 4 / 2e-3)
+    assert follows < 3e-8
+    np.testing.assert_allclose(end.point, follows * np.asarray(state.x, np.float64), rtol=1e-5, atol=1e-20)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import newton
@@ -62,6 +63,20 @@ def test_an_indefinite_preconditioner_solves_nothing(x64):
         linear(matrix), field(b), lambda r: cp.scale(-1.0, r), tolerance=1e-9, iterations=40
     )
     assert not found.solved
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e25])
+def test_large_and_small_right_sides_are_solved_in_single_precision(size):
+    """Their squares are 0 or inf in float32, so that 0 would pass for the solution."""
+    matrix, b = spread(), np.sin(np.arange(3.0 * COUNT))
+    right = field(jnp.asarray(size * b, jnp.float32))
+    found = newton.conjugate_gradients(linear(matrix), right, lambda r: r, tolerance=1e-5, iterations=200)
+    assert found.solved
+    np.testing.assert_allclose(flat(found.x) / size, np.linalg.solve(matrix, b), rtol=1e-3, atol=1e-5)
+    endless = newton.conjugate_gradients(
+        linear(matrix), field(jnp.inf * right[0].repeat(3)), lambda r: r, tolerance=1e-5, iterations=200
+    )
+    assert not endless.solved
 
 
 def stored(a):

@@ -44,7 +44,8 @@ class DruckerPrager(LogarithmicPlasticity):
 
     The yield cone ends in its apex at the strain ``cohesion`` along each axis. Larger tensile strains return to the
     apex. Near the apex the direction of the deviator varies arbitrarily fast, but it is multiplied by the cone's small
-    radius there, so the derivative stays bounded. At the apex it is that of the particle's side.
+    radius there, so the derivative stays bounded. At the apex itself, as for F = I without cohesion, it is that of
+    compression.
 
     Attributes:
       friction_angle: friction angle of triaxial compression [rad], in (0, pi / 2).
@@ -63,10 +64,10 @@ class DruckerPrager(LogarithmicPlasticity):
         mean, deviator, length = _deviator(log_s)
         sine = jnp.sin(self.friction_angle)
         slope = math.sqrt(2.0 / 3.0) * 2.0 * sine / (3.0 - sine)
-        compression = jnp.maximum(3.0 * (self.cohesion - mean), 0.0)
+        pulled = mean > self.cohesion
+        compression = jnp.where(pulled, 0.0, 3.0 * (self.cohesion - mean))
         limit = (3.0 * lam + 2.0 * mu) / (2.0 * mu) * compression * slope
         shortening, flows = _shortening(deviator, length, limit)
-        pulled = compression <= 0.0
         to_apex = dd.shift(dd.scale(-1.0, log_s), self.cohesion)
         return dd.select(pulled, to_apex, shortening), flows | pulled
 

@@ -106,6 +106,25 @@ def test_sand_that_is_pulled_apart_goes_to_the_apex(x64):
     np.testing.assert_allclose(stress, (2 * MU + 3 * LAM) * 0.01, rtol=1e-12)
 
 
+def test_fresh_sand_at_rest_does_not_hang_on_a_cohesion_of_zero(x64):
+    """At F = I and cohesion 0 the apex itself is reached; a small cohesion changes nothing there."""
+
+    def stretch(cohesion, size=0.0):
+        return plastic(DruckerPrager(friction_angle=ANGLE, cohesion=cohesion), np.exp([size] * 3))[0]
+
+    def changed(cohesion):
+        law = DruckerPrager(friction_angle=ANGLE, cohesion=cohesion)
+        change, _ = law.return_map(
+            Principal(tuple(jnp.zeros(3))), FixedCorotated(youngs_modulus=E, poissons_ratio=NU).moduli()
+        )
+        return jnp.stack(change.values)
+
+    np.testing.assert_array_equal(jax.jacfwd(changed)(0.0), 0.0)
+    np.testing.assert_array_equal(jax.jacrev(changed)(0.0), 0.0)
+    np.testing.assert_array_equal(stretch(1e-3), 1.0)
+    np.testing.assert_allclose(stretch(1e-3, 0.01), np.exp(1e-3), rtol=1e-12)
+
+
 def snow() -> Snow:
     return Snow(critical_compression=0.025, critical_stretch=0.0075, hardening=10.0)
 
