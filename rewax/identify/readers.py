@@ -96,7 +96,10 @@ def actions_of(env: Any, joint_q: np.ndarray) -> np.ndarray:
             f"the tool's path goes {beyond:.3g} beyond joint_lower or joint_upper, where the simulated tool stops: "
             f"give the environment joint_lower of at most {low.tolist()} and joint_upper of at least {high.tolist()}"
         )
-    actions = np.diff(joint_q, axis=0) / np.asarray(env.joint_step)
+    moved, step = np.diff(joint_q, axis=0), np.asarray(env.joint_step)
+    stays = np.abs(moved) <= np.where(step > 0.0, 0.0, _NEAR)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        actions = np.where(stays, 0.0, moved / step)
     if np.abs(actions).max() > 1.0 + _NEAR:
         raise ValueError(
             f"the tool's path is {np.abs(actions).max():.2f} times as fast as joint_step allows: give the environment "

@@ -101,6 +101,11 @@ def record_states(
     if noise > 0.0 and camera.noise is not None:
         raise ValueError(f"noise is {noise}, and the camera has noise of its own: give one of them")
     camera = camera.replace(noise=DepthNoise(constant=noise)) if noise > 0.0 else camera
+    if camera.body is not None:
+        raise ValueError(
+            f"body {camera.body} carries the camera, but a record is seen by one that stands still: give a camera "
+            "with body=None"
+        )
     names = env.world(states[0], up).names
     body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *_robot(env))]
     frames = list(range(0, len(actions) + 1, every))

@@ -82,6 +82,7 @@ class Identified:
     def draws(self) -> LeafDraws:
         """The posterior of each unknown as a hook for ``randomize=``, cut off at the bounds of the search.
 
+        A value that was extrapolated beyond these bounds is a bound itself.
         Correlations between unknowns are left out.
         """
         found = []
@@ -91,7 +92,7 @@ class Identified:
                 continue
             std = max(float(np.sqrt(self.covariance[i, i])), 1e-6) * self.space.scale_of(i)
             value = self.values[names[0]]
-            within: dict[str, Any] = {"low": float(ends[0][i]), "high": float(ends[1][i])}
+            within: dict[str, Any] = {"low": min(float(ends[0][i]), value), "high": max(float(ends[1][i]), value)}
             posterior = LogNormal(value, std, **within) if self.space.is_log[i] else Normal(value, std, **within)
             wrapped = type(draw)(posterior) if isinstance(draw, (Scale, Shift)) else posterior
             found.append((names, wrapped))

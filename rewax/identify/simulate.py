@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.randomized import Randomized
 from rewax.envs.wrappers import _Wrapper
 from rewax.identify.records import Record
 from rewax.identify.unknowns import Space
@@ -119,7 +120,8 @@ def without_reset_noise(env: Any) -> Any:
     Goals may still be drawn: only the soft body, the tools and the robot are compared.
 
     Raises:
-      ValueError: the environment has no soft body, or its episodes begin differently all the same.
+      ValueError: the environment has no soft body, draws parameters at every reset, or its episodes begin differently
+        all the same.
     """
     still = _noise_left_out(env)
     starts = jax.jit(jax.vmap(lambda key: _beginning(still, still.reset(key).physics)))(
@@ -134,6 +136,11 @@ def without_reset_noise(env: Any) -> Any:
 
 
 def _noise_left_out(env: Any) -> Any:
+    if isinstance(env, Randomized):
+        raise ValueError(
+            "the environment is Randomized: each reset would replace parameters by a draw. Give one draw of it, "
+            "env.randomize(key, env.env)"
+        )
     if isinstance(env, _Wrapper):
         return dataclasses.replace(env, env=_noise_left_out(env.env))
     names = [name for name in getattr(env, "noise_fields", ("noise",)) if getattr(env, name, None) is not None]

@@ -98,5 +98,9 @@ def test_actions_follow_the_path():
     np.testing.assert_allclose(actions_of(ENV, path), [[0.5, 1.0], [-0.5, -1.0]], rtol=1e-5)
     outside = SimpleNamespace(**{**vars(ENV), "joint_lower": np.array([-0.095, 0.0])})
     np.testing.assert_allclose(actions_of(outside, path[:2]), [[0.5, 1.0]], rtol=1e-5)  # as FluidMove begins at paper
+    still = SimpleNamespace(**{**vars(ENV), "joint_step": np.array([0.01, 0.0])})
+    np.testing.assert_allclose(actions_of(still, path * [1.0, 0.0]), [[0.5, 0.0], [-0.5, 0.0]], rtol=1e-5)
+    with pytest.raises(ValueError, match="the tool's path is inf times as fast as joint_step allows"):
+        actions_of(still, path)
     with pytest.raises(ValueError, match="the joints of WhipRope follow set points, so no actions"):
         actions_of(rewax.make("WhipRope", scale="small"), path)

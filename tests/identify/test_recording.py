@@ -96,6 +96,9 @@ def test_states_that_are_known_give_the_record_of_their_episode(env, seen):
 def test_bad_options_and_failed_steps_are_told(env):
     with pytest.raises(ValueError, match="occlusion is 1"):
         record(env, ACTIONS, jax.random.key(0), occlusion=1.0)
+    carried = camera_for(np.asarray(env.rest_positions), np.asarray(env.up)).replace(body=0)
+    with pytest.raises(ValueError, match=r"body 0 carries the camera.* give a camera with body=None"):
+        record(env, ACTIONS, jax.random.key(0), camera=carried)
     stiff = rewax.replace_leaf(env, "scene.material.elasticity.youngs_modulus", 1e6)
     with pytest.raises(ValueError, match=r"step 0 of the record has status .*INVALID_PARAMETERS"):
         record(stiff, ACTIONS, jax.random.key(0))

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -106,12 +107,25 @@ def test_the_interval_of_an_extrapolation_holds_for_one_more_draw():
     assert 0.94 < np.mean(held) < 0.98  # half of the step counts as well
 
 
-def test_the_posterior_of_a_small_number_is_as_narrow_as_its_fit():
-    space = Space(((("a",), Uniform(1e-7, 3e-7)),))
+def posterior_of(prior, latent, covariance, bound):
     fit = dict.fromkeys(field.name for field in dataclasses.fields(Identified))
-    bounds = (np.array([-1.7]), np.array([1.7]))
+    numbers = {"latent": np.array([latent]), "covariance": np.array([[covariance]])}
     found = Identified(
-        **{**fit, "space": space, "latent": np.zeros(1), "covariance": np.eye(1) * 0.01, "bounds": bounds}
+        **{**fit, **numbers, "space": Space(((("a",), prior),)), "bounds": (np.array([-bound]), np.array([bound]))}
     )
     ((_, drawn),) = found.draws().draws
+    return found, drawn
+
+
+@pytest.mark.parametrize("prior", [Uniform(1.0, 3.0), LogUniform(1.0, 3.0)])
+def test_a_value_extrapolated_beyond_the_stable_range_has_a_posterior(prior):
+    for latent in (-1.5, 1.5):
+        found, drawn = posterior_of(prior, latent, 1e-8, 0.5)  # a bound 10,000 standard deviations away
+        assert found.values["a"] in (drawn.low, drawn.high)
+        sample = drawn.sample(jax.random.key(0), (), float)
+        assert float(sample) == pytest.approx(found.values["a"], rel=1e-3)
+
+
+def test_the_posterior_of_a_small_number_is_as_narrow_as_its_fit():
+    _, drawn = posterior_of(Uniform(1e-7, 3e-7), 0.0, 0.01, 1.7)
     assert drawn.mean == pytest.approx(2e-7) and drawn.std == pytest.approx(0.1 * 2e-7 / 12**0.5)

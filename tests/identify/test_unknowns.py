@@ -12,7 +12,8 @@ import rewax
 from rewax import struct
 from rewax.envs.history import History
 from rewax.envs.named_sensors import with_sensors
-from rewax.envs.randomize import LogUniform, Uniform
+from rewax.envs.randomize import LogUniform, Uniform, hook
+from rewax.envs.randomized import Randomized
 from rewax.identify.simulate import without_reset_noise
 from rewax.identify.unknowns import is_stable, space_of, stable_bounds
 from rewax.physics import mpm
@@ -86,6 +87,20 @@ def test_a_wrapped_task_is_simulated_without_its_reset_noise(env):
     wrapped = without_reset_noise(History(env=with_sensors(env, ("labels",), 8), steps=2))
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(wrapped.noise)) and wrapped.steps == 2
     assert any(np.any(leaf) for leaf in jax.tree.leaves(env.noise))
+
+
+def test_an_environment_that_draws_its_parameters_is_refused(env):
+    """The draw would take the place of an unknown, whose gradient would be zero."""
+    drawing = Randomized(env=env, randomize=hook({MODULUS: Uniform(1e3, 2e3)}))
+    for one in (drawing, History(env=drawing, steps=2)):
+        with pytest.raises(ValueError, match=r"each reset would replace .* env\.randomize\(key, env\.env\)"):
+            without_reset_noise(one)
+    without_reset_noise(drawing.randomize(jax.random.key(0), drawing.env))
+
+
+def test_unknowns_that_share_a_number_are_refused(env):
+    with pytest.raises(ValueError, match="is drawn twice"):
+        space_of({MODULUS: LogUniform(1e3, 2e3), f".{MODULUS}": LogUniform(1e3, 2e3)}, env)
 
 
 def test_what_a_task_draws_at_its_start_is_left_out_or_named():

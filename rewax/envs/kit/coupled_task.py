@@ -56,7 +56,8 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     Every array is a parameter: differentiate with respect to it or vmap over it.
 
     Attributes:
-      model: the robot. The colliders of the scene belong to its bodies (``rigid.colliders``).
+      model: the robot. The colliders of the scene belong to its bodies (``rigid.colliders``). They are copies of its
+        geoms: a change of sizes, places or friction belongs into both.
       scene: the soft body, walls and ground. Its dt divides that of the model.
       rest_positions: points before the noise of a reset [m], shape (num_points, 3).
       noise: random shift and stretch of the points at a reset.

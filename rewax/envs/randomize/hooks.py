@@ -96,14 +96,8 @@ class LeafDraws:
           respect to the key.
         """
         named, treedef = jax.tree.flatten_with_path(env)
-        values, drawn = [leaf for _, leaf in named], set()
-        for names, draw in self.draws:
-            parts = [part for name in names for part in _parts_named(name, named, env)]
-            for part in parts:
-                if any(_overlap(part, other) for other in drawn):
-                    raise ValueError(f"{_name(part, named)} is drawn twice: give it one distribution")
-                drawn.add(part)
-            _check_leaves(parts, named, draw)
+        values = [leaf for _, leaf in named]
+        for (names, draw), parts in zip(self.draws, _drawn_parts(self, named, env), strict=True):
             by = draw if isinstance(draw, Distribution) else draw.by
             shape = (3,) if isinstance(draw, Turn) else _shape_of_draw(parts, named, by.per)
             entry_key = jax.random.fold_in(key, zlib.crc32(" ".join(names).encode()))
@@ -121,13 +115,14 @@ def with_numbers(env: Any, draws: LeafDraws, numbers: Sequence[Array]) -> Any:
       draws: of ``hook``.
       numbers: one of shape () for each draw.
 
+    Raises:
+      ValueError: a name fits no parameter, a parameter cannot be drawn like this, or it is drawn twice.
+
     Gradient: exact with respect to the numbers.
     """
     named, treedef = jax.tree.flatten_with_path(env)
     values = [leaf for _, leaf in named]
-    for (names, draw), number in zip(draws.draws, numbers, strict=True):
-        parts = [part for name in names for part in _parts_named(name, named, env)]
-        _check_leaves(parts, named, draw)
+    for (_, draw), parts, number in zip(draws.draws, _drawn_parts(draws, named, env), numbers, strict=True):
         for part in parts:
             values[part.leaf] = _with_draw(values[part.leaf], part.index, jnp.asarray(number), draw)
     return jax.tree.unflatten(treedef, values)
@@ -146,6 +141,24 @@ def _overlap(part: _Part, other: _Part) -> bool:
     """Whether two parts share a number."""
     pairs = zip(part.index, other.index, strict=False)
     return part.leaf == other.leaf and all(i is None or j is None or i == j for i, j in pairs)
+
+
+def _drawn_parts(draws: LeafDraws, named: list[tuple[Any, Any]], env: Any) -> list[list["_Part"]]:
+    """The parameters, or parts of them, that each draw changes.
+
+    Raises:
+      ValueError: a name fits no parameter, a parameter cannot be drawn like this, or it is drawn twice.
+    """
+    found, drawn = [], set()
+    for names, draw in draws.draws:
+        parts = [part for name in names for part in _parts_named(name, named, env)]
+        for part in parts:
+            if any(_overlap(part, other) for other in drawn):
+                raise ValueError(f"{_name(part, named)} is drawn twice: give it one distribution")
+            drawn.add(part)
+        _check_leaves(parts, named, draw)
+        found.append(parts)
+    return found
 
 
 def reached(names: Sequence[str], others: Sequence[str], env: Any) -> tuple[bool, bool]:

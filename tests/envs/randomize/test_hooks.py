@@ -221,3 +221,6 @@ def test_given_numbers_take_the_place_of_draws_with_an_exact_gradient():
         return new.material.youngs_modulus + new.start.sum()
 
     assert float(jax.grad(total)(jnp.float32(7.0))) == 4.0
+    twice = hook({"start[1]": Uniform(0.0, 1.0), "start": Uniform(0.0, 1.0)})
+    with pytest.raises(ValueError, match="start is drawn twice"):  # else the first would have a gradient of zero
+        with_numbers(THINGS, twice, [jnp.float32(7.0), jnp.float32(3.0)])
