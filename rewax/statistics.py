@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+_BLOCK = 2**20
+"""Numbers that are drawn at once."""
+
 
 def bootstrap_interval(
     values: Sequence[float] | np.ndarray, *, confidence: float = 0.95, num_resamples: int = 10_000, seed: int = 0
@@ -22,9 +25,12 @@ def bootstrap_interval(
     Source: Efron 1979.
     """
     values = np.asarray(values, np.float64)
-    draws = np.random.default_rng(seed).integers(0, len(values), (num_resamples, len(values)))
+    generator, count = np.random.default_rng(seed), len(values)
+    rows = max(1, _BLOCK // count)
+    sizes = [min(rows, num_resamples - begun) for begun in range(0, num_resamples, rows)]
+    means = np.concatenate([values[generator.integers(0, count, (size, count))].mean(axis=1) for size in sizes])
     tail = 50.0 * (1.0 - confidence)
-    low, high = np.percentile(values[draws].mean(axis=1), [tail, 100.0 - tail])
+    low, high = np.percentile(means, [tail, 100.0 - tail])
     return float(low), float(high)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rewax import statistics
 from rewax.statistics import bootstrap_interval, interquartile_mean, learning_curve, student_interval
 
 
@@ -16,6 +17,13 @@ def test_the_interval_of_many_samples_is_that_of_the_normal_distribution():
     assert bootstrap_interval([4.0]) == (4.0, 4.0)
     wide, narrow = (np.diff(bootstrap_interval(values, confidence=c))[0] for c in (0.99, 0.5))
     assert wide > 2.0 * narrow
+
+
+def test_resamples_in_blocks_are_those_of_one_draw(monkeypatch):
+    values = np.random.default_rng(0).normal(3.0, 2.0, 37)
+    at_once = bootstrap_interval(values)
+    monkeypatch.setattr(statistics, "_BLOCK", 100)
+    assert bootstrap_interval(values) == at_once
 
 
 def test_the_interval_of_three_samples_holds_the_mean_in_95_of_100_cases():

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from rewax.envs.base import Env, State
+from rewax.envs.wrappers import AutoReset, Vmap, is_or_contains
 from rewax.status import describe
 
 
@@ -67,6 +68,13 @@ def checked_num_envs(num_envs: Any) -> int:
     if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
         raise ValueError(f"num_envs is {num_envs!r}: give an integer of at least 1")
     return int(num_envs)
+
+
+def check_one_episode(env: Any) -> None:
+    """Raises ValueError for environments that begin anew by themselves, and for batches."""
+    for kind, remedy in ((AutoReset, "give it without: reset begins an episode"), (Vmap, "give one environment")):
+        if is_or_contains(env, kind):
+            raise ValueError(f"the environment has {kind.__name__}: {remedy}")
 
 
 def compiled(env: Env) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rewax.adapters.conversion import check_action, compiled, key_from, missing, numpy_observation
+from rewax.adapters.conversion import check_action, check_one_episode, compiled, key_from, missing, numpy_observation
 from rewax.envs.base import ArraySpec, Env, State
 
 try:
@@ -28,6 +28,7 @@ class DmEnvironment(dm_env.Environment):
     """
 
     def __init__(self, env: Env, *, seed: int = 0) -> None:
+        check_one_episode(env)
         self.env = env
         self._generator = np.random.default_rng(seed)
         self._reset, self._step = compiled(env)

@@ -17,6 +17,7 @@ import numpy as np
 from rewax.adapters.conversion import (
     batch_observation,
     check_action,
+    check_one_episode,
     checked_num_envs,
     compiled,
     key_from,
@@ -59,6 +60,7 @@ class GymnasiumEnv(gymnasium.Env):
     def __init__(self, env: Env, *, render_mode: str | None = None, size: tuple[int, int] = (360, 480)) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {render_mode!r}: give 'rgb_array' or None")
+        check_one_episode(env)
         self.env, self.render_mode, self._size = env, render_mode, size
         self._record = None if render_mode is None else snapshots(env)
         if getattr(env, "control_dt", None):

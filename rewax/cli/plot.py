@@ -67,7 +67,8 @@ def _curve(directory: Path, name: str) -> tuple[str, Curve]:
             f"{directory} holds no metrics.csv: give the directories of runs, runs/RollingFlat-small-0 say"
         )
     columns = read_csv(path)
-    if missing := [name for name in ("env_steps", "return") if name not in columns]:
+    begun = "\n" in path.read_text(errors="replace")
+    if begun and (missing := [name for name in ("env_steps", "return") if name not in columns]):
         raise ValueError(f"{path} has no column {missing[0]}: it was not written by a training run")
     if name:
         return name, learning_curve(columns)

@@ -68,7 +68,10 @@ def run(argv: Sequence[str]) -> int:
     if args.num_seeds > 1 and args.distributed:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
-    agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
+    given = with_options(preset, getattr(args, first.algo))
+    if args.steps is not None and given.num_iterations != preset.num_iterations:
+        raise ValueError(f"--steps and --{first.algo}.num-iterations both say how long to train: give one of them")
+    agent_config, num_iterations, num_steps = _length(given, env, args.steps)
     say(console, _scale_sentence(scale, first.scale or first.env_from))
     if "identified" in kwargs:
         for sentence in sentences(env.env if kwargs.get("sensors") else env, kwargs["identified"]):

@@ -11,6 +11,7 @@ pytest.importorskip("dm_env", reason="pip install 'rewax[dm-env]'")
 from dm_env import StepType, test_utils
 
 from rewax.adapters.dm_env import DmEnvironment
+from rewax.envs.wrappers import AutoReset
 
 
 class TestConformance(test_utils.EnvironmentTestMixin, unittest.TestCase):
@@ -20,6 +21,11 @@ class TestConformance(test_utils.EnvironmentTestMixin, unittest.TestCase):
     def make_action_sequence(self):
         for _ in range(12):
             yield np.array([0.3], np.float32)
+
+
+def test_an_environment_that_begins_anew_is_refused():
+    with pytest.raises(ValueError, match="has AutoReset: give it without"):
+        DmEnvironment(AutoReset(env=point_mass()))
 
 
 def test_an_episode_that_runs_out_of_time_keeps_its_discount():

@@ -22,6 +22,7 @@ import rewax  # noqa: E402
 from rewax.adapters import gymnasium_ids  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
 from rewax.envs.sensing import Sensing  # noqa: E402
+from rewax.envs.wrappers import AutoReset, Vmap  # noqa: E402
 
 
 class EndsBeyondTwo(PointMass):
@@ -74,6 +75,13 @@ def test_a_task_ends_itself():
     env.reset(seed=0)
     _, _, terminated, truncated, _ = env.step(np.ones(1))
     assert terminated and not truncated
+
+
+def test_environments_that_begin_anew_and_batches_are_refused():
+    with pytest.raises(ValueError, match="has AutoReset: give it without"):
+        GymnasiumEnv(AutoReset(env=point_mass()))
+    with pytest.raises(ValueError, match="has Vmap: give one environment"):
+        GymnasiumEnv(Vmap(env=point_mass()))
 
 
 @pytest.mark.parametrize(

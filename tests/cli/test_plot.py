@@ -1,6 +1,7 @@
 """``rewax plot``: which runs share a curve, what is written, what is refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,6 +76,9 @@ def test_a_run_without_a_finished_episode_is_named(runs, tmp_path, capsys):
     early, out = make_run(tmp_path, "early", returns=("nan",)), tmp_path / "curves.svg"
     assert main(["plot", runs[0], early, "--out", str(out)]) == 0
     said = f"note: no episode of {early} has ended, so it has no curve\nwrote {out}\n"
+    assert capsys.readouterr().out == said
+    (Path(early) / "metrics.csv").write_text("")  # it has just begun
+    assert main(["plot", runs[0], early, "--out", str(out)]) == 0
     assert capsys.readouterr().out == said
 
 

@@ -96,6 +96,8 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
     assert read_csv(tmp_path / "a" / "metrics.csv")["env_steps"][-1] == 36
     code, text = main("--steps", "50", "--run-dir", "a")
     assert code == 2 and "holds a run already" in text and "Traceback" not in text
+    code, text = main("--steps", "50", "--toy.num-iterations", "9", "--run-dir", "b")
+    assert code == 2 and "--steps and --toy.num-iterations both say how long to train: give one of them" in text
     assert main("--steps", "50", "--run-dir", "a", "--resume")[0] == 0
     assert read_csv(tmp_path / "a" / "metrics.csv")["env_steps"][-1] == 60
 
@@ -182,6 +184,12 @@ def test_a_run_remembers_what_was_imported(main, tmp_path, monkeypatch):
     train(saved.agent, saved.env, TrainConfig(**options, eval_every=0, num_eval_episodes=1, resume=True))
     assert {"imports", "seed"} <= set(json.loads((tmp_path / "a" / "config.json").read_text()))
     forget()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "remembered.py").write_text("import rewax\n")
+    with monkeypatch.context() as patch:  # another project's module of the same name comes first
+        patch.syspath_prepend(tmp_path / "other")
+        with pytest.raises(ValueError, match=r"in .*, but that in .*/other would be imported: rename one of them"):
+            load_run(tmp_path / "a")
     (tmp_path / "remembered.py").unlink()
     with pytest.raises(ValueError, match=r"with --import of the module 'remembered' in .*, which is gone: put it back"):
         load_run(tmp_path / "a")

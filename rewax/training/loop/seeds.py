@@ -34,8 +34,8 @@ def train_seeds(
     """Train one agent from several seeds at once: ``vmap(train_step)``, a run directory for each.
 
     Each seed's result equals that of a run by itself up to rounding, because a batched program adds in another order. A
-    seed that fails ends; the others continue. With several devices each computes some of the seeds, if their number
-    divides that of the seeds.
+    seed that fails ends; the others continue. Resumed seeds may have done different numbers of iterations. With several
+    devices each computes some of the seeds, if their number divides that of the seeds.
 
     Args:
       agent, env, describe, console: as for ``train``.
@@ -43,7 +43,7 @@ def train_seeds(
         sharded over.
 
     Raises:
-      ValueError: as for ``train``; or the resumed runs have done different numbers of iterations.
+      ValueError: as for ``train``.
     """
     console = console or Console()
     with contextlib.ExitStack() as stack:
@@ -61,11 +61,6 @@ def train_seeds(
         where = seed_placement(len(configs), configs[0].devices)
         programs = programs_of(agent, env, configs[0])
         ready = [prepared(agent, env, config, describe, console, programs=programs) for config in configs]
-        done = sorted({int(state.iteration) for state, _ in ready})
-        if len(done) > 1:
-            raise ValueError(
-                f"the runs of these seeds have done {done[0]} to {done[-1]} iterations: resume them one by one"
-            )
         states = where.place(jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state for state, _ in ready]))
         together = agent._replace(train_step=jax.vmap(agent.train_step), consumes=True)
         train_step: Any = None

@@ -38,12 +38,18 @@ from rewax.whole_files import replacing
 T = TypeVar("T")
 _SIMULATED = (".environments.state.physics", ".environments.state.metrics")
 """Beginnings of the names of arrays that a new episode makes anew."""
+_PASSING = ("RESOURCE_EXHAUSTED", "PERMISSION_DENIED", "UNAVAILABLE")
+"""Errors of the machine in messages of Orbax and JAX."""
 _HEALTHY = "healthy"
 """Beside the checkpoints: the iteration of the last one from before failures."""
 
 
 class DamagedCheckpoint(ValueError):
     """A checkpoint that cannot be read."""
+
+
+class Unread(ValueError):
+    """A checkpoint that could not be read now, although it may be whole: the machine failed, not the file."""
 
 
 def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int | None = None) -> Path:
@@ -165,7 +171,8 @@ def restore(
 
     Raises:
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
-        (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
+        (``DamagedCheckpoint``), a field has another shape or type than ``like`` (``OtherStructure``), or the machine
+        failed while reading (``Unread``), which leaves the checkpoint as it is.
     """
     return _newest(run_dir, lambda path: _read(path, like, restart, notify), step, set_aside, notify)
 
@@ -313,9 +320,12 @@ def _checkpointer() -> ocp.Checkpointer:
     return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
 
 
-def _unreadable(path: Path, error: object) -> DamagedCheckpoint:
+def _unreadable(path: Path, error: object) -> DamagedCheckpoint | Unread:
     reason = str(error).strip().split("\n")[0][:200] or type(error).__name__
+    gone = isinstance(error, (FileNotFoundError, NotADirectoryError, IsADirectoryError))
+    if (isinstance(error, (OSError, MemoryError)) and not gone) or any(code in reason for code in _PASSING):
+        return Unread(f"checkpoint {path} could not be read now ({reason}): remove the cause, and repeat the command")
     return DamagedCheckpoint(f"checkpoint {path} is damaged and cannot be read ({reason})")
 
 
-__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps", "stored_leaves"]
+__all__ = ["DamagedCheckpoint", "OtherStructure", "Unread", "latest_step", "restore", "save", "steps", "stored_leaves"]

@@ -7,6 +7,7 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Mapping, Sequence
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,11 @@ def import_recorded(config: Mapping[str, Any], run_dir: str | Path) -> None:
                 f"{run_dir} was trained with --import of the module {name!r} in {folder}, which is gone: put it back, "
                 "or give its new place with --import"
             )
+        if _is_beside(name, folder) and (other := _other_folder(name, folder)):
+            raise ValueError(
+                f"{run_dir} was trained with the module {name!r} in {folder}, but that in {other} would be imported: "
+                "rename one of them, or start Python where only the right one is found"
+            )
         _import(name, folder)
 
 
@@ -88,8 +94,20 @@ def _is_entry(entry: Any) -> bool:
 
 def _is_found(name: str, folder: Path) -> bool:
     top = name.partition(".")[0]
-    beside = (folder / f"{top}.py").is_file() or (folder / top).is_dir()
-    return beside or top in sys.modules or importlib.util.find_spec(top) is not None
+    return _is_beside(name, folder) or top in sys.modules or importlib.util.find_spec(top) is not None
+
+
+def _is_beside(name: str, folder: Path) -> bool:
+    top = name.partition(".")[0]
+    return (folder / f"{top}.py").is_file() or (folder / top).is_dir()
+
+
+def _other_folder(name: str, folder: Path) -> str:
+    """The folder from which a module would be imported if it is not this one, else an empty text."""
+    top = name.partition(".")[0]
+    spec = sys.modules[top].__spec__ if top in sys.modules else importlib.util.find_spec(top)
+    found = "" if spec is None else _folder_of(spec)
+    return found if found != str(folder.resolve()) else ""
 
 
 def _import_file(path: Path) -> dict[str, str]:
@@ -131,10 +149,17 @@ def _import(name: str, folder: Path) -> dict[str, str]:
 def _home(name: str) -> str:
     """The folder from which the first part of a module's name is imported."""
     top = sys.modules[name.partition(".")[0]]
-    if top.__spec__ is not None and top.__spec__.submodule_search_locations:
-        return str(Path(next(iter(top.__spec__.submodule_search_locations))).resolve().parent)
+    if top.__spec__ is not None and (found := _folder_of(top.__spec__)):
+        return found
     file = getattr(top, "__file__", None)
     return str(Path(file).resolve().parent) if file else ""
+
+
+def _folder_of(spec: ModuleSpec) -> str:
+    """The folder that holds a module's file, or the folder of a package; empty for a module without a file."""
+    if spec.submodule_search_locations:
+        return str(Path(next(iter(spec.submodule_search_locations))).resolve().parent)
+    return str(Path(spec.origin).resolve().parent) if spec.has_location and spec.origin else ""
 
 
 __all__ = ["import_modules", "import_recorded", "user_error"]

@@ -28,7 +28,7 @@ from rewax.training.loop.compilation import programs_kept
 from rewax.training.loop.progress import say
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
-from rewax.training.storage.description import plain, provenance
+from rewax.training.storage.description import plain, provenance, read_config
 from rewax.training.storage.metrics import read_csv
 from rewax.training.storage.run_directory import CannotWrite, InUse, hold
 from rewax.training.suites.suite import Suite
@@ -239,7 +239,7 @@ def _run(
     else:
         if result.signum:
             return result.signum
-        row |= {
+        row |= _provenance_of(folder) | {
             "env_steps": int(result.train_state.env_steps),
             "sampled": float(result.evaluation.get("sampled_mean", math.nan)),
             "deterministic": float(result.evaluation.get("deterministic_mean", math.nan)),
@@ -255,6 +255,12 @@ def _run(
     with replacing(folder / "result.json") as unfinished:
         unfinished.write_text(json.dumps(row, indent=1) + "\n")
     return 0
+
+
+def _provenance_of(folder: Path) -> dict[str, str]:
+    """Commit, processor, C++ and JAX of a run; those of all parts if it was resumed with others."""
+    parts = read_config(folder)["provenance"]
+    return {name: " then ".join(dict.fromkeys(part[name] for part in parts)) for name in provenance()}
 
 
 def _known_baselines(out_dir: Path, task: str) -> dict[str, float]:

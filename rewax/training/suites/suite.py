@@ -72,6 +72,8 @@ class Suite:
         for task, options in self.env_options.items():
             if not isinstance(options, Mapping):
                 raise ValueError(f"env_options.{task} of the suite {self.name} is no table: write [env_options.{task}]")
+            if "scale" in options:
+                raise ValueError(f"env_options.{task} of the suite {self.name} gives scale: write it outside, for all")
         for name, changes in self.options.items():
             if not isinstance(changes, Mapping):
                 raise ValueError(f"options.{name} of the suite {self.name} is no table: write [options.{name}]")
@@ -81,6 +83,11 @@ class Suite:
                     "them, or write [options.all]"
                 )
 
+            if self.steps and "num_iterations" in changes:
+                raise ValueError(
+                    f"steps and num_iterations of options.{name} of the suite {self.name} both say how long to train: "
+                    "give one of them"
+                )
         if unknown := sorted(set(self.options.get("all", {})) - _options_of(self.algorithms)):
             raise ValueError(
                 f"no algorithm of the suite {self.name} has the option {unknown[0]!r}: correct options.all"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from rewax.agents.config import RunConfig, Value
+from rewax.agents.legal import legal_values
 from rewax.agents.registry import algorithm
 
 Space: TypeAlias = Mapping[str, "Range"]
@@ -68,13 +69,23 @@ def read_space(name: str, path: str | Path | None = None) -> dict[str, Range]:
         raise ValueError(
             f"{where} for {name}: write a table [{name}] with its options in a TOML file, and give --space"
         )
-    known = {field.name for field in dataclasses.fields(algorithm(name).config_type)}
-    return {option: _range(name, option, entry, known) for option, entry in table.items()}
+    return {option: _legal_range(name, option, entry) for option, entry in table.items()}
 
 
-def _range(name: str, option: str, entry: Any, known: set[str]) -> Range:
-    if option not in known:
+def _legal_range(name: str, option: str, entry: Any) -> Range:
+    config_type = algorithm(name).config_type
+    if option not in {field.name for field in dataclasses.fields(config_type)}:
         raise ValueError(f"{name} has no option {option!r}: correct the search space")
+    if option == "num_iterations":
+        raise ValueError("num_iterations follows from the control steps of a trial: leave it out, and give --steps")
+    found = _range(option, entry)
+    if (legal := legal_values(config_type).get(option)) is not None:
+        for value in found.choices or (found.low, found.high):
+            legal.check(f"{option} in the search space", value)
+    return found
+
+
+def _range(option: str, entry: Any) -> Range:
     if not isinstance(entry, Mapping) or set(entry) not in ({"choices"}, {"low", "high"}, {"low", "high", "log"}):
         raise ValueError(f"the search space of {option} is {entry!r}: {_FORM}")
     if "choices" in entry:

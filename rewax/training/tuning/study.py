@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -168,7 +169,7 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
 
     values = {name: _suggest(trial, name, where) for name, where in space.items()}
     say(console, f"trial {trial.number}: " + ", ".join(f"{name} {_short(value)}" for name, value in values.items()))
-    mean = None
+    number, mean = 0, math.nan
     try:
         for number, mean in run_trial(task, env, values, console, lambda: stop.requested):
             trial.report(mean, number)
@@ -179,13 +180,11 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
     except Failed as failed:
         _fail(study, trial, str(failed), console)
         return
-    except ValueError:  # an error of the search, not of this trial
-        raise
-    except Exception as error:  # such as out of memory: other trials may succeed
+    except Exception as error:  # such as out of memory, or values that fit no program: other trials may succeed
         _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
         return
-    if stop.requested:
-        return  # the trial stays running in the journal, and is repeated by the process that continues the study
+    if number < task.reports:
+        return  # stopped: the trial stays running in the journal, and the process that continues the study repeats it
     study.tell(trial, mean)
     say(console, f"trial {trial.number}: mean return {mean:.6g}, best {study.best_value:.6g}")
 

@@ -51,8 +51,15 @@ def test_they_are_resumed_together_or_alone(tmp_path):
     results = train_seeds(AGENT, ENV, more, console=console())
     assert [int(result.train_state.iteration) for result in results] == [6, 6]
     train(AGENT, ENV, dataclasses.replace(more[0], num_iterations=7), console=console())
-    with pytest.raises(ValueError, match="the runs of these seeds have done 6 to 7 iterations: resume them one by one"):
-        train_seeds(AGENT, ENV, [dataclasses.replace(c, num_iterations=9) for c in more], console=console())
+    # One seed is further than the other, as after a failure of one of them.
+    results = train_seeds(AGENT, ENV, [dataclasses.replace(c, num_iterations=9) for c in more], console=console())
+    assert [int(result.train_state.iteration) for result in results] == [9, 9]
+    for seed, result in enumerate(results):
+        alone = train(AGENT, ENV, configs(tmp_path / "alone", (seed,), num_iterations=9)[0], console=console())
+        np.testing.assert_allclose(result.train_state.bias, alone.train_state.bias, rtol=1e-5)
+        assert checkpoint.latest_step(tmp_path / str(seed)) == 9
+        done = read_csv(tmp_path / str(seed) / "metrics.csv")["iteration"]
+        np.testing.assert_array_equal(done, np.arange(1, 10))
 
 
 def test_a_seed_that_fails_ends_alone(tmp_path):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import warnings
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -215,6 +216,26 @@ def test_damage_falls_back_to_the_checkpoint_before_it(tmp_path):
     assert (tmp_path / "checkpoints" / "2.damaged" / "arrays").is_dir()
     with pytest.raises(ValueError, match="no checkpoint of iteration 3: choose one of 1"):
         checkpoint.restore(tmp_path, states[0], step=3)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(24, "Too many open files"), MemoryError("no room"), ValueError("RESOURCE_EXHAUSTED: Out of memory")],
+    ids=["files", "memory", "device"],
+)
+@pytest.mark.parametrize("what", ["arrays", "leaves.json"])
+def test_a_machine_that_fails_leaves_the_checkpoint_in_place(tmp_path, monkeypatch, error, what):
+    states, _ = three(tmp_path)
+
+    def fails(*args, **kwargs):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*((checkpoint, "_checkpointer") if what == "arrays" else (Path, "read_bytes")), fails)
+        with pytest.raises(checkpoint.Unread, match=r"checkpoints/3 could not be read now \(.*: remove the cause"):
+            checkpoint.restore(tmp_path, states[0], set_aside=True)
+    assert checkpoint.steps(tmp_path) == [1, 2, 3]
+    assert same_bits(checkpoint.restore(tmp_path, states[0], set_aside=True), states[2])
 
 
 def test_a_run_that_goes_on_meanwhile_is_not_damaged(tmp_path, monkeypatch):

@@ -18,10 +18,11 @@ from rewax.agents.registry import Algorithm
 from rewax.envs import registry
 from rewax.statistics import Curve
 from rewax.training.loop.compilation import kept
+from rewax.training.storage import description
 from rewax.training.storage.run_directory import CannotWrite, hold
 from rewax.training.suites import runs as bench
 from rewax.training.suites import tables
-from rewax.training.suites.runs import Cell, any_failed, in_turn, read_result, run_suite
+from rewax.training.suites.runs import BASELINES, Cell, any_failed, in_turn, read_result, run_suite
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, markdown, read_results
 
@@ -89,7 +90,13 @@ def test_what_is_done_is_skipped_and_the_rest_continued(suite, tmp_path, monkeyp
     signum, text = run(suite, tmp_path)
     assert signum == signal.SIGINT and len(calls) == 2 and "the same command continues" in text
     before = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+    here = description.provenance()
+    monkeypatch.setattr(description, "provenance", lambda: here | {"commit": "later"})
+    monkeypatch.setattr(bench, "provenance", description.provenance)
     assert run(suite, tmp_path)[0] == 0
+    rows = read_results(tmp_path)
+    found = sorted({str(row["commit"]) for row in rows.values() if row["algorithm"] not in BASELINES})
+    assert found == sorted([here["commit"], f"{here['commit']} then later", "later"])
     assert len(calls) == 5 and calls[2] == (calls[1][0], True)  # the interrupted one, from its checkpoint
     assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path)) == before
     assert run(suite, tmp_path)[0] == 0 and len(calls) == 5

@@ -63,6 +63,14 @@ def test_options_of_an_environment(tmp_path):
             "env_options of the suite mine name 'Ant', which is not one of its tasks",
         ),
         (TASK + "[env_options]\nHopper = 3\n", "is no table: write [env_options.Hopper]"),
+        (
+            TASK + '[env_options.Hopper]\nscale = "paper"\n',
+            "env_options.Hopper of the suite mine gives scale: write it",
+        ),
+        (
+            TASK + "[steps]\nHopper = 99\n[options.all]\nnum_iterations = 3\n",
+            "steps and num_iterations of options.all of the suite mine both say how long to train: give one of them",
+        ),
         (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is not one of its algorithms"),
         ("scale = ", "is not TOML"),
         (b"scale = \xff", "is not TOML"),

@@ -4,6 +4,8 @@ import csv
 import dataclasses
 import io
 import json
+import os
+import signal
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 
@@ -128,7 +130,7 @@ def test_it_begins_with_the_preset_and_finds_better(tmp_path, monkeypatch):
 def test_what_fails_is_bad_and_never_the_best(tmp_path, monkeypatch):
     def mean(values):
         if values["noise"] > 0.05:
-            raise Failed("it fell over") if values["horizon"] == 3 else MemoryError("no room")
+            raise Failed("it fell over") if values["horizon"] == 3 else ValueError("no program")
         return -values["noise"]
 
     monkeypatch.setattr(studies, "run_trial", quickly(mean))
@@ -136,7 +138,7 @@ def test_what_fails_is_bad_and_never_the_best(tmp_path, monkeypatch):
     rows = table(tmp_path)
     failed = [row for row in rows if row["state"] == "failed"]
     assert rows[0]["failure"] == "it fell over" and len(rows) == 15 > len(failed)
-    assert {row["failure"] for row in failed} <= {"it fell over", "MemoryError: no room"}
+    assert {row["failure"] for row in failed} == {"it fell over", "ValueError: no program"}
     assert best_trial(open_study(tmp_path), SPACE).values["noise"] <= 0.05
 
 
@@ -149,6 +151,19 @@ def test_a_search_is_continued_and_a_trial_that_was_cut_off_done_anew(tmp_path, 
     assert [row["state"] for row in rows] == ["complete", "complete", "fail", "complete", "complete"]
     assert rows[3]["noise"] == rows[2]["noise"] == str(cut_off.params["noise"])
     assert search(tmp_path, 4)[0] == 0 and len(table(tmp_path)) == 5  # nothing is left
+
+
+def test_a_trial_that_is_stopped_in_its_last_evaluation_is_complete(tmp_path, monkeypatch):
+    def run_trial(task, env, values, console, stopped):
+        for number in range(1, task.reports + 1):
+            if number == cut:
+                os.kill(os.getpid(), signal.SIGINT)
+            yield Report(number, 1.0)
+
+    monkeypatch.setattr(studies, "run_trial", run_trial)
+    cut = TASK.reports
+    assert search(tmp_path, 3)[0] == signal.SIGINT
+    assert [row["state"] for row in table(tmp_path)] == ["complete"]
 
 
 def test_the_preset_is_tried_again_if_it_was_cut_off_before_it_began(tmp_path, monkeypatch):
