@@ -7,7 +7,7 @@ from pathlib import Path
 from rewax.agents.legal import Count, Natural, Positive, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
-from rewax.whole_files import replacing
+from rewax.whole_files import check_can_write, replacing
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,7 @@ def run(argv: Sequence[str]) -> int:
     enable_compilation_cache()
     import_modules(options.imports)
     saved = load_run(options.run_dir, step=options.step)
+    check_can_write(out)
     found = landscape(
         saved.env,
         saved.agent.policy,

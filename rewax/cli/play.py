@@ -71,6 +71,8 @@ def run(argv: Sequence[str]) -> int:
     options = parse(Options, argv, prog="rewax play", description="Show trained policies in a browser.")
     if not 1 <= len(options.runs) <= MAX_RUNS:
         raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories or tasks: rewax play HandFlip")
+    if not options.live and (options.host, options.port) != (Options.host, Options.port):
+        raise ValueError("--host and --port are of a live page: give --live too, or leave them out")
     out = Path(options.out)
     if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
         raise ValueError(f"out is {out}: give an .html file in a folder that exists")

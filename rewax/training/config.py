@@ -3,9 +3,10 @@
 import dataclasses
 from typing import Annotated
 
-from rewax.agents.legal import AT_LEAST_2, Count, Natural, NonNegative, Seed, Share, check_fields
+from rewax.agents.legal import AT_LEAST_2, Count, Legal, Natural, NonNegative, Seed, Share, check_fields
 
 _MOST_STEPS = 2**31 - 1
+_DIRECTORY = Legal("name a directory", lambda v: isinstance(v, str) and bool(v.strip()))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -73,7 +74,7 @@ class TrainConfig(ReportConfig):
     """
 
     num_iterations: Count
-    run_dir: str
+    run_dir: Annotated[str, _DIRECTORY]
     seed: Seed = 0
     resume: bool = False
     init_from: str = ""

@@ -28,7 +28,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(registry._FACTORIES, TOY, lambda scale: toys.point_mass(4))
-        argv = ["train", f"--env={TOY}", "--scale=small", f"--run-dir={folder}", "--steps=4", *toys.TINY]
+        argv = ["train", f"--env={TOY}", "--scale=small", f"--run-dir={folder}", *toys.TINY]
         assert main([*argv, "--train.no-plots"]) == 0
         yield folder
 
@@ -99,6 +99,8 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
         (["--video-path=nowhere/a.mp4"], "video-path is nowhere/a.mp4: give a file .mp4 in a folder that exists"),
         (["--json=folder.json"], "json is folder.json: give a file .json in a folder that exists"),
         (["--json=a.txt"], "json is a.txt: give a file .json in a folder that exists"),
+        (["--no-video", "--video-path=a.mp4"], "--video-path is of a video, and --no-video makes none: leave one out"),
+        (["--no-video", "--color-by=height"], "--color-by is of a video, and --no-video makes none: leave one out"),
         (["--seed=-1"], "seed is -1: give an integer from 0 to 4294967295"),
     ],
 )

@@ -95,6 +95,7 @@ def _neither(name, guess=""):
         (["a", "--live", "--scale=small"], "a live view shows a run at the scale it trains at: leave out --scale"),
         (["a", "--out=a.mp4"], "out is a.mp4: give an .html file in a folder that exists"),
         (["a", "--out=no/such/a.html"], "out is no/such/a.html: give an .html file in a folder that exists"),
+        (["a", "--port=9000"], "--host and --port are of a live page: give --live too, or leave them out"),
         (["a", "--frames=1"], "frames is 1: give an integer of at least 2"),
     ],
 )

@@ -236,7 +236,7 @@ def test_a_run_that_fails_is_exit_code_1(main, monkeypatch):
 def test_a_place_that_cannot_be_is_exit_code_2(main, tmp_path):
     (tmp_path / "file").write_text("x")
     code, text = main("--run-dir=file")
-    assert code == 2 and "file, which is not a directory: choose another directory (--run-dir)" in text
+    assert code == 2 and "file, which is not a directory: choose another directory" in text
     assert "Traceback" not in text and "compiling" not in text
 
 

@@ -48,10 +48,15 @@ def first_state(
     """
     if not config.resume:
         metrics = run_dir / "metrics.csv"
-        if checkpoint.latest_step(run_dir) is not None or (metrics.is_file() and metrics.stat().st_size):
+        if checkpoint.latest_step(run_dir) is not None:
             raise ValueError(
                 f"{run_dir} holds a run already: resume it (--resume, in Python resume=True) or choose another "
                 "directory (--run-dir, run_dir)"
+            )
+        if metrics.is_file() and metrics.stat().st_size:
+            raise ValueError(
+                f"{run_dir} holds the metrics of a run, but no checkpoint: choose another directory (--run-dir, "
+                "run_dir), or remove this one"
             )
         fresh = jax.jit(agent.init)(key)
         if not config.init_from:

@@ -16,7 +16,7 @@ except ImportError:  # Windows
 
 _FOLDERS = ("checkpoints", "tensorboard")
 _FILES = ("config.json", "metrics.csv", "eval.csv", "timing.csv", "baselines.json")
-_REMEDY = "choose another directory (--run-dir)"
+_REMEDY = "choose another directory"
 
 
 class InUse(ValueError):

@@ -73,7 +73,7 @@ def run_seeds(num_devices, folder, *, count=4):
     _, agent = make("sapo")
     env = WithNothing(gain=jax.numpy.float32(0.5))
     agent = algorithm("sapo").make(env, agent.config)
-    config = TrainConfig(num_iterations=3, run_dir="", devices=num_devices, **QUICK)
+    config = TrainConfig(num_iterations=3, run_dir="a", devices=num_devices, **QUICK)
     configs = [dataclasses.replace(config, seed=seed, run_dir=f"{folder}/{seed}") for seed in range(count)]
     with open(f"{folder}.txt", "w") as file:
         results = train_seeds(agent, env, configs, console=Console(file=file, width=200))

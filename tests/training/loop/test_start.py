@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import shutil
 
 import jax
 import pytest
@@ -44,6 +45,11 @@ def test_a_directory_with_a_run_is_refused(tmp_path):
         run(tmp_path)
     with pytest.raises(ValueError, match="there is no run directory"):
         run(tmp_path / "nowhere", resume=True)
+    shutil.rmtree(tmp_path / "checkpoints")
+    with pytest.raises(ValueError, match="holds the metrics of a run, but no checkpoint: choose another directory"):
+        run(tmp_path)
+    with pytest.raises(ValueError, match="run_dir is '': name a directory"):
+        TrainConfig(num_iterations=1, run_dir="")
 
 
 def test_a_resumed_run_did_not_begin_with_another_one(tmp_path):

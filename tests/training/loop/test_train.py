@@ -252,7 +252,7 @@ def shorter_and_shorter(state):
 def test_a_run_with_a_budget_of_steps_goes_on_until_it_is_spent(tmp_path):
     agent = AGENT._replace(train_step=shorter_and_shorter)
     with pytest.raises(ValueError, match="num_steps is 2147483648: give at most 2147483647, which a run can count"):
-        TrainConfig(num_iterations=4, num_steps=2**31, run_dir="")
+        TrainConfig(num_iterations=4, num_steps=2**31, run_dir="a")
     result, text = run(tmp_path / "budget", agent, num_iterations=4, num_steps=48)
     assert int(result.train_state.iteration) == 5 and int(result.train_state.env_steps) == 12 + 11 + 10 + 9 + 8
     assert "iteration 5/5" in text
