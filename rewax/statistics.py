@@ -26,7 +26,7 @@ def bootstrap_interval(
     """
     values = np.asarray(values, np.float64)
     generator, count = np.random.default_rng(seed), len(values)
-    rows = max(1, _BLOCK // count)
+    rows = max(1, _BLOCK // max(1, count))
     sizes = [min(rows, num_resamples - begun) for begun in range(0, num_resamples, rows)]
     means = np.concatenate([values[generator.integers(0, count, (size, count))].mean(axis=1) for size in sizes])
     tail = 50.0 * (1.0 - confidence)

@@ -18,12 +18,12 @@ def contact_numbers(
     contact: PenaltyContact | None, ground: Ground | None, colliders: tuple[Collider, ...], poses: Pose | None = None
 ) -> list[Number]:
     """The numbers of contact law, ground and colliders, with their legal values."""
-    numbers = [*([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
+    numbers = [] if contact is None else penalty_numbers(contact)
+    numbers += [*([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
     if contact is None:
         return numbers
     frictions = [*([] if ground is None else [contact.friction]), *(collider.friction for collider in colliders)]
-    sliding = friction_dampings("contact.friction_damping", contact.friction_damping, *frictions)
-    return [*penalty_numbers(contact), *numbers, *sliding]
+    return [*numbers, *friction_dampings("contact.friction_damping", contact.friction_damping, *frictions)]
 
 
 def gravity_number(gravity: Any) -> Number:

@@ -57,7 +57,8 @@ def import_recorded(config: Mapping[str, Any], run_dir: str | Path) -> None:
                 f"{run_dir} was trained with --import of the module {name!r} in {folder}, which is gone: put it back, "
                 "or give its new place with --import"
             )
-        if _is_beside(name, folder) and (other := _other_folder(name, folder)):
+        installed = "site-packages" in folder.parts  # in another environment it lies elsewhere
+        if not installed and _is_beside(name, folder) and (other := _other_folder(name, folder)):
             raise ValueError(
                 f"{run_dir} was trained with the module {name!r} in {folder}, but that in {other} would be imported: "
                 "rename one of them, or start Python where only the right one is found"
