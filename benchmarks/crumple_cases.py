@@ -155,8 +155,8 @@ def crumples(num_cells: int, count: int, seed: int) -> Batch:
     mesh = thin.sheet(float(num_cells), float(num_cells), num_cells, num_cells)
     template = thin.make_scene(
         mesh=mesh, dt=1e-5, cloth=UNIT, drag=0.5, gravity=(0.0, 0.0, 0.0), held=[0, len(mesh.vertices) - 1],
-        contact=PenaltyContact(stiffness=1e-3), self_contact=_law(0.3),
-        colliders=tuple(Collider(shape=Plane(), body=k, friction=0.0) for k in range(4)),
+        contact=PenaltyContact(stiffness=1e-3, friction_damping=1e-6), self_contact=_law(0.3),
+        colliders=tuple(Collider(shape=Plane(), body=k, friction=0.2) for k in range(4)),
     )  # fmt: skip
     numbers = drawn(rng, count, (0.12, 0.33), lambda thickness: rolled(rng, num_cells, thickness))
     batch = scenes(template, numbers)

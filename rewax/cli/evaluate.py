@@ -112,9 +112,11 @@ def _checked(options: Options) -> str:
     if any(pixels < 2 or pixels % 2 for pixels in options.video_size):
         raise ValueError(f"video-size is {' '.join(map(str, options.video_size))}: give even numbers from 2 on")
     if not options.video:
-        for name in ("video_path", "video_size", "color_by"):
-            if getattr(options, name) != Options.__dataclass_fields__[name].default:
-                raise ValueError(f"--{name.replace('_', '-')} is of a video, and --no-video makes none: leave one out")
+        for name in ("video-path", "video-size", "color-by", "surface"):
+            field = name.replace("-", "_")
+            if getattr(options, field) != Options.__dataclass_fields__[field].default:
+                option = f"--{'no-' * (name == 'surface')}{name}"
+                raise ValueError(f"{option} is of a video, and --no-video makes none: leave one out")
     for name, ending in (("json", ".json"), ("video_path", ".mp4")):
         path = getattr(options, name)
         if path is None:

@@ -137,7 +137,10 @@ def _live(options: Options) -> int:
             while checkpoint.latest_step(directory) in (None, newest):
                 time.sleep(_POLL)
             newest = checkpoint.latest_step(directory)  # a damaged one is skipped and not tried again
-            train_state = checkpoint.restore(directory, train_state)
+            try:
+                train_state = checkpoint.restore(directory, train_state)
+            except checkpoint.Unread as error:  # the machine has too little room now
+                print(f"warning: {error}", flush=True)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     finally:

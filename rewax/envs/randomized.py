@@ -1,6 +1,6 @@
 """Domain randomisation: parameters of an environment that are drawn at every reset."""
 
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,16 +8,13 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import State
+from rewax.envs.copied_geoms import check_colliders
 from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
 """A hook ``(key, env) -> env`` that draws parameters and keeps shapes and static fields. ``rewax.envs.randomize.hook``
 makes one from names and distributions."""
-
-
-_COPIES = {"geom_size": "shape", "geom_pos": "offset", "geom_quat": "rotation", "geom_friction": "friction"}
-"""Parameters of geoms, and the part of a collider that ``rigid.colliders`` makes from each."""
 
 
 @struct.dataclass
@@ -64,8 +61,10 @@ class Randomized(_Wrapper):
 
 
 def check_hook(env: Any, randomize: Randomize) -> None:
-    """Raises ValueError for a hook that cannot draw parameters of this environment. Traces the hook only."""
+    """Raises ValueError for a hook that cannot draw parameters of this environment, or whose draw of a robot's geoms
+    would not reach the soft body."""
     jax.eval_shape(lambda key: changed_by(randomize, key, env), jax.random.key(0))
+    check_colliders(env, randomize(jax.random.key(0), env))
 
 
 def changed_by(randomize: Randomize, key: Key, env: Any) -> dict[str, Array]:
@@ -92,20 +91,7 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
                 "of the environment a float"
             )
         found[name] = jnp.asarray(b, old)
-    _check_colliders([jax.tree_util.keystr(path) for path, _ in after], found)
     return found
-
-
-def _check_colliders(names: list[str], changed: Container[str]) -> None:
-    """Raises ValueError for drawn geoms whose copies, the colliders of a soft body's scene, would stay as they are."""
-    for geoms, part in _COPIES.items():
-        copies = [name for name in names if f".{part}" in name.partition(".colliders[")[2]]
-        drawn = any(geoms in name for name in names if name in changed)
-        if copies and drawn and not any(name in changed for name in copies):
-            raise ValueError(
-                f"randomize draws {geoms} of the model, but the colliders that touch the soft body keep their {part}: "
-                f"draw scene.colliders[*].{part} too"
-            )
 
 
 def with_parameters(env: Any, parameters: dict[str, Array]) -> Any:

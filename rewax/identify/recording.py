@@ -11,7 +11,7 @@ import numpy as np
 
 from rewax.envs.registry import recipe
 from rewax.identify.records import Record, camera_numbers, cloud_of_depth
-from rewax.identify.simulate import points_of, without_reset_noise
+from rewax.identify.simulate import drawn_once, points_of, without_reset_noise
 from rewax.physics.numerics.checks import NOT_NEGATIVE, check_number
 from rewax.physics.rigid import RigidModel, body_name
 from rewax.sensors import Camera, DepthNoise
@@ -38,7 +38,8 @@ def record(
     """A record of one episode.
 
     Args:
-      env: one environment with ``particles`` and ``world``; its reset noise is left out.
+      env: one environment with ``particles`` and ``world``; its reset noise is left out. One that draws its
+        parameters (``Randomized``) draws them once.
       script: actions of shape (num_steps, num_actions), or a policy ``(state, key) -> action``.
       key: of the reset, the policy, noise and occlusion.
       num_steps: with a policy: control steps; by default an episode.
@@ -55,8 +56,8 @@ def record(
     """
     _check_options(occlusion, noise, every)
     source = source or json.dumps(recipe(env))
-    env = without_reset_noise(env)
     reset_key, policy_key, *_ = jax.random.split(key, 4)
+    env = without_reset_noise(drawn_once(env, jax.random.fold_in(reset_key, 1)))
     state = jax.jit(env.reset)(reset_key)
     states, actions = _episode(env, script, state, policy_key, num_steps)
     return record_states(

@@ -11,7 +11,7 @@ from rewax.envs.randomized import Randomized
 from rewax.envs.wrappers import _Wrapper
 from rewax.identify.records import Record
 from rewax.identify.unknowns import Space
-from rewax.types import Array, PyTree
+from rewax.types import Array, Key, PyTree
 
 
 class Data(NamedTuple):
@@ -114,6 +114,14 @@ def points_of(env: Any, physics: PyTree) -> Array:
     return bare.particles(physics)
 
 
+def drawn_once(env: Any, key: Key) -> Any:
+    """The environment with one draw of the parameters that it would draw at every reset."""
+    if isinstance(env, Randomized):
+        inside_key, key = jax.random.split(key)
+        return env.randomize(key, drawn_once(env.env, inside_key))
+    return dataclasses.replace(env, env=drawn_once(env.env, key)) if isinstance(env, _Wrapper) else env
+
+
 def without_reset_noise(env: Any) -> Any:
     """The environment with its ``noise_fields`` 0, by default ``noise``, so that every episode begins alike.
 
@@ -155,4 +163,4 @@ def _beginning(env: Any, physics: PyTree) -> list[PyTree]:
     return [points_of(env, physics), *(getattr(physics, name, None) for name in moving)]
 
 
-__all__ = ["Data", "data_of", "points_of", "regions", "simulated_frames", "up_to", "without_reset_noise"]
+__all__ = ["Data", "data_of", "drawn_once", "points_of", "regions", "simulated_frames", "up_to", "without_reset_noise"]

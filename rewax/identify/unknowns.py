@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.copied_geoms import check_colliders
 from rewax.envs.randomize import (
     Distribution,
     Draw,
@@ -127,8 +128,9 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
       env: has these parameters.
 
     Raises:
-      ValueError: a name fits no parameter, a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``, or
-        a first state is unknown of an environment without a soft body.
+      ValueError: a name fits no parameter, a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``, two
+        unknowns share a number, a geom does not reach the soft body (``copied_geoms``), or a first state is unknown of
+        an environment without a soft body.
     """
     space = Space(hook(unknowns).draws)
     for (names, _), prior, label in zip(space.draws, space.priors, space.labels, strict=True):
@@ -139,7 +141,7 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
         if label.startswith("initial.") and (len(names) > 1 or label not in _INITIAL):
             known = ", ".join(_INITIAL)
             raise ValueError(f"{label!r} is no unknown of the first state: use one of {known}, alone")
-    space.place(env, jnp.zeros(len(space.draws)))  # raises for unknown names
+    check_colliders(env, space.place(env, jnp.full(len(space.draws), 0.1)))  # raises for unknown names, too
     if first := [label for label in space.labels if label in _INITIAL]:
         soft = getattr(jax.eval_shape(env.reset, jax.random.key(0)).physics, "soft", None)
         if not (hasattr(soft, "x") and hasattr(soft, "v")):

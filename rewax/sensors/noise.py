@@ -14,7 +14,7 @@ class DepthNoise(struct.Replaceable):
 
     Attributes:
       constant, quadratic: the standard deviation is constant + quadratic * depth^2 [m, 1/m]. For a Kinect take 0.0008
-        and 0.0013: from 0.5 to 3 m this is within 11 % of 0.0012 + 0.0019 (depth - 0.4)^2 (Nguyen et al. 2012,
+        and 0.0013: from 0.5 to 3 m this is within 12 % of 0.0012 + 0.0019 (depth - 0.4)^2 (Nguyen et al. 2012,
         "Modeling Kinect sensor noise for improved 3D reconstruction and tracking").
       step: depths are rounded to multiples of this [m]; 0: not.
       edge_holes: probability that a pixel sees nothing beside which depth jumps by more than ``edge`` [-].

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from rewax.envs import registry
 from rewax.envs.latency import Latency
 from rewax.envs.randomize import Scale, Uniform, hook, leaves
 from rewax.envs.randomized import Randomized
-from rewax.training.evaluation import episodes
+from rewax.training.evaluation import episodes, landscape
 from rewax.training.evaluation.sweep import read_grid, with_parameters
 
 TOY = "ToyForEvaluation"
@@ -100,6 +101,7 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
         (["--json=folder.json"], "json is folder.json: give a file .json in a folder that exists"),
         (["--json=a.txt"], "json is a.txt: give a file .json in a folder that exists"),
         (["--no-video", "--video-path=a.mp4"], "--video-path is of a video, and --no-video makes none: leave one out"),
+        (["--no-video", "--no-surface"], "--no-surface is of a video, and --no-video makes none: leave one out"),
         (["--no-video", "--color-by=height"], "--color-by is of a video, and --no-video makes none: leave one out"),
         (["--seed=-1"], "seed is -1: give an integer from 0 to 4294967295"),
     ],
@@ -110,6 +112,16 @@ def test_options_are_refused_before_an_episode_is_computed(run, tmp_path, monkey
     monkeypatch.setattr(episodes, "_evaluate", lambda *args: pytest.fail("evaluated first"))
     assert main(["eval", str(run), *argv]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_landscape_is_computed_only_if_it_can_be_written(run, monkeypatch, capsys):
+    def full(path, *args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(landscape, "landscape", lambda *args, **kwargs: pytest.fail("computed first"))
+    monkeypatch.setattr(Path, "touch", full)
+    assert main(["landscape", f"--run-dir={run}"]) == 1
+    assert "No space left on device" in capsys.readouterr().err
 
 
 def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, capsys):

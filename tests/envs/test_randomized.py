@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import toys
 
-import rewax
 from rewax import struct
 from rewax.envs.randomize import Constant, Scale, hook
-from rewax.envs.randomized import Randomized, changed_by, check_hook
+from rewax.envs.randomized import Randomized, changed_by
 from rewax.envs.wrappers import AutoReset, _Wrapper
 
 
@@ -128,17 +127,3 @@ def test_a_draw_is_never_rounded_to_a_whole_number():
     drawn = changed_by(lambda key, env: env.replace(num_pushes=5, gain=2), jax.random.key(0), env)
     assert drawn[".num_pushes"] == 5 and drawn[".num_pushes"].dtype == jnp.int32
     assert drawn[".gain"] == 2.0 and drawn[".gain"].dtype == jnp.float32
-
-
-@pytest.mark.parametrize(("task", "robot"), [("GripperLift", "model"), ("HandFlip", "hand")])
-def test_geoms_are_drawn_with_their_copies_in_the_scene_of_the_soft_body(task, robot):
-    """Alone, the draw would not reach the soft body: the policy would train without it."""
-    env, factor = rewax.make(task, scale="small"), Scale(Constant(1.5))
-    geoms = {part: f"{robot}.parameters[geom_{part}]" for part in ("friction", "size")}
-    with pytest.raises(ValueError, match=r"draws geom_friction .* draw scene.colliders\[\*\]\.friction too"):
-        check_hook(env, hook({geoms["friction"]: factor}))
-    with pytest.raises(ValueError, match=r"draws geom_size .* draw scene.colliders\[\*\]\.shape too"):
-        check_hook(env, hook({geoms["size"]: factor, "scene.colliders[*].friction": factor}))
-    check_hook(env, hook({(geoms["friction"], "scene.colliders[*].friction"): factor}))
-    check_hook(env, hook({"scene.colliders[*].friction": factor}))
-    check_hook(rewax.make("AntRun", scale="small"), hook({"model.parameters[geom_friction]": factor}))

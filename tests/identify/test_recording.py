@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import rewax
+from rewax.envs.history import History
+from rewax.envs.randomize import Uniform, hook
+from rewax.envs.randomized import Randomized
 from rewax.identify import load, record, record_states, save
 from rewax.identify.recording import camera_for
 from rewax.identify.records import camera_numbers, camera_of
-from rewax.identify.simulate import regions, without_reset_noise
+from rewax.identify.simulate import drawn_once, regions, without_reset_noise
 from rewax.sensors import Camera
 from rewax.sensors.noise import DepthNoise
 
@@ -91,6 +94,17 @@ def test_states_that_are_known_give_the_record_of_their_episode(env, seen):
         np.testing.assert_allclose(getattr(same, name), getattr(seen, name), atol=1e-6)
     with pytest.raises(ValueError, match="there are 3 states with 3 actions"):
         record_states(env, [s.physics for s in states[1:]], ACTIONS, jax.random.key(0))
+
+
+def test_a_world_that_is_drawn_is_drawn_once(env):
+    modulus = "scene.material.elasticity.youngs_modulus"
+    softer = Randomized(env=env, randomize=hook({modulus: Uniform(400.0, 500.0)}))
+    assert drawn_once(env, jax.random.key(0)) is env
+    one, other = (drawn_once(History(env=softer, steps=2), jax.random.key(seed)).env for seed in (0, 1))
+    moduli = [float(drawn.scene.material.elasticity.youngs_modulus) for drawn in (one, other)]
+    assert moduli[0] != moduli[1] and all(400.0 <= value <= 500.0 for value in moduli)
+    again, first = (record(softer, ACTIONS, jax.random.key(3)) for _ in range(2))
+    np.testing.assert_array_equal(again.clouds, first.clouds)
 
 
 def test_bad_options_and_failed_steps_are_told(env):

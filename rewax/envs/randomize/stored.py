@@ -10,6 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rewax.envs.copied_geoms import check_colliders
 from rewax.envs.randomize.distributions import LogNormal, LogUniform, Normal, Scale, Shift, Uniform
 from rewax.envs.randomize.hooks import Draw, LeafDraws, with_numbers
 from rewax.envs.randomized import Randomized, check_hook
@@ -91,7 +92,9 @@ def with_result(env: Any, told: Mapping[str, Any]) -> Any:
     if told["use"] == "draws":
         check_hook(env, draws)
         return Randomized(env=env, randomize=draws)
-    return with_numbers(env, draws, [jnp.float32(told["values"][names[0]]) for names, _ in draws.draws])
+    found = with_numbers(env, draws, [jnp.float32(told["values"][names[0]]) for names, _ in draws.draws])
+    check_colliders(env, found)
+    return found
 
 
 def draws_of(unknowns: Sequence[Mapping[str, Any]]) -> LeafDraws:

@@ -114,8 +114,10 @@ def friction_dampings(name: str, friction_damping: Any, *frictions: Any) -> list
     if not all(jnp.issubdtype(array.dtype, jnp.number) for array in arrays) or len(vertices) > 1:
         return []
     rubs = functools.reduce(xp.logical_or, [array > 0 for array in arrays[1:]], np.False_)
+    # Single vertices may slide freely: a damping of 0 is how they do at colliders, whose friction is one number.
+    largest = xp.where(xp.any(rubs), xp.max(xp.where(rubs, arrays[0], 0.0)), 1.0)
     remedy = "give a number of N s/m, about the mass of a vertex or particle over dt, or a friction of 0"
-    return [Number(f"{name} with friction", xp.where(rubs, arrays[0], 1.0), POSITIVE, remedy)]
+    return [Number(f"{name} with friction", largest, POSITIVE, remedy)]
 
 
 def check_numbers(numbers: Iterable[Number]) -> None:

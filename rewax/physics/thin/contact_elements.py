@@ -41,22 +41,15 @@ class ContactElements(ByContent):
       near_edges: edges with which each edge does not touch, likewise.
       levels: number of levels of the trees below their roots.
       orders: for vertices, edges and triangles, their order along a tree, see ``tree_order``.
-      largest_thickness: thickness up to which these neighbours are right [m]. Beyond it, elements at rest would repel
-        each other.
-      smallest_height: smallest height of a triangle [m], inf without triangles.
     """
 
-    def __init__(self, topology: Topology, vertices: np.ndarray, thickness: float) -> None:
+    def __init__(self, topology: Topology, vertices: np.ndarray, near: list[set[int]]) -> None:
         self.triangles, segments = topology.triangles.indices, topology.segments.indices
         self.num_vertices = topology.triangles.num_vertices
-        of_cloth = np.unique(np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-        self.edges = np.concatenate([of_cloth, segments]).astype(np.int32)
-        self.is_rope = np.arange(len(self.edges)) >= len(of_cloth)
+        self.edges = mesh_edges(topology)
+        self.is_rope = np.arange(len(self.edges)) >= len(self.edges) - len(segments)
         self.in_rope = ~np.isin(np.arange(self.num_vertices), self.triangles)
         vertices = np.asarray(vertices, np.float64)
-        near, next_path = near_vertices(self.edges, vertices, APART * thickness)
-        self.largest_thickness = max(thickness, next_path / APART)
-        self.smallest_height = smallest_height(vertices, self.triangles)
         self.near_triangles = _touching(near, [[v] for v in range(self.num_vertices)], self.triangles)
         self.near_edges = _touching(near, self.edges.tolist(), self.edges)
         kinds = (np.arange(self.num_vertices)[:, None], self.edges, self.triangles)
@@ -68,9 +61,8 @@ class ContactElements(ByContent):
         shifted = vertices + [10.0 * np.ptp(vertices, axis=0).max(), 0.0, 0.0] * piece[:, None]
         self.orders = tuple(tree_order(shifted[kind].mean(axis=1), _ARITY**self.levels) for kind in kinds)
         self._vertices = np.arange(self.num_vertices, dtype=np.int32)[:, None]
-        near_bytes = self.near_triangles.tobytes(), self.near_edges.tobytes()
-        lengths = self.largest_thickness, self.smallest_height
-        super().__init__(topology, *lengths, *near_bytes, *map(bytes, self.orders))
+        tables = self.near_triangles.tobytes(), self.near_edges.tobytes()
+        super().__init__(topology, *tables, *map(bytes, self.orders))
 
     def kinds(self, with_triangles: bool) -> tuple["Kind", "Kind"]:
         """Vertices and triangles, or edges twice."""
@@ -95,15 +87,25 @@ class ContactElements(ByContent):
         )
 
 
-def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> tuple[list[set[int]], float]:
-    """For each vertex those at a path of at most ``reach`` [m] along edges, itself included (Dijkstra's algorithm), and
-    the shortest of all longer paths [m], inf if there is none."""
+def mesh_edges(topology: Topology) -> np.ndarray:
+    """Edges of triangles, then segments of ropes, int32 of shape (num_edges, 2)."""
+    triangles = topology.triangles.indices
+    of_cloth = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    return np.concatenate([of_cloth, topology.segments.indices]).astype(np.int32)
+
+
+def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> tuple[list[set[int]], np.ndarray]:
+    """For each vertex those at a path of at most ``reach`` [m] along edges, itself included, and the length of the
+    shortest longer path [m], inf if there is none, shape (num_vertices,).
+
+    Source: Dijkstra's algorithm.
+    """
     length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=-1)
     beside: dict[int, list[tuple[int, float]]] = defaultdict(list)
     for (a, b), size in zip(edges.tolist(), length.tolist(), strict=True):
         beside[a].append((b, size))
         beside[b].append((a, size))
-    found, next_path = [], math.inf
+    found, longer = [], []
     for start in range(len(vertices)):
         done: set[int] = set()
         beyond: dict[int, float] = {}
@@ -121,8 +123,8 @@ def near_vertices(edges: np.ndarray, vertices: np.ndarray, reach: float) -> tupl
                 else:
                     beyond[other] = min(path + size, beyond.get(other, math.inf))
         found.append(done)
-        next_path = min([next_path, *(path for other, path in beyond.items() if other not in done)])
-    return found, next_path
+        longer.append(min((path for other, path in beyond.items() if other not in done), default=math.inf))
+    return found, np.array(longer)
 
 
 def smallest_height(vertices: np.ndarray, triangles: np.ndarray) -> float:
@@ -188,4 +190,4 @@ def _pieces(edges: np.ndarray, num_vertices: int) -> np.ndarray:
     return piece
 
 
-__all__ = ["APART", "ContactElements", "Kind", "near_vertices", "smallest_height", "tree_order"]
+__all__ = ["APART", "ContactElements", "Kind", "mesh_edges", "near_vertices", "smallest_height", "tree_order"]

@@ -89,7 +89,7 @@ def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolera
         negative: Array
 
     largest = jnp.max(jnp.abs(jnp.stack(b)))
-    scale = jnp.where(largest > 0, largest, 1.0)
+    scale = jnp.where((largest > 0) & jnp.isfinite(largest), largest, 1.0)
     b = cp.vector(lambda i: b[i] / scale)
     z = precondition(b)
     first = inner(b, z)

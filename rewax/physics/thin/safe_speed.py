@@ -6,12 +6,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.numerics.checks import Legal, Number, check_numbers
-from rewax.physics.thin.contact_elements import ContactElements, smallest_height
+from rewax import struct
+from rewax.physics.numerics.checks import check_numbers
+from rewax.physics.thin.contact_elements import (
+    APART,
+    ContactElements,
+    mesh_edges,
+    near_vertices,
+    smallest_height,
+)
 from rewax.physics.thin.pair_law import SelfContact, pair_energy
+from rewax.physics.thin.rest import RestShape
 from rewax.physics.thin.stencils import Topology
 from rewax.physics.thin.thinmesh import ThinMesh
-from rewax.types import Scalar
+from rewax.types import Array, Scalar
 
 if TYPE_CHECKING:
     from rewax.physics.thin.scene import ThinScene
@@ -37,14 +45,45 @@ def largest_safe_speed(scene: "ThinScene") -> Scalar:
     return jnp.minimum(jnp.sqrt(stored / jnp.max(mass)), thinnest / (4.0 * scene.dt))
 
 
-def check_self_contact(topology: Topology, mesh: ThinMesh, law: SelfContact | None) -> ContactElements | None:
-    """The elements of self-contact, None without it.
+@struct.dataclass
+class ThicknessLimits(struct.Replaceable):
+    """Largest thicknesses for which the neighbours in self-contact are right, over the size of the mesh at rest.
+
+    Attributes:
+      cloth: over the root of the area of the cloth [-].
+      rope: over the length of all ropes [-].
+    """
+
+    cloth: Scalar
+    rope: Scalar
+
+
+def is_too_thick(scene: "ThinScene") -> Array:
+    """Whether self-contact is thicker than its neighbours allow, so that elements at rest would repel each other.
+
+    Shape (), bool. Gradient: none.
+    """
+    law, limits, found = scene.self_contact, scene.thickness_limits, jnp.bool_(False)
+    if law is None or limits is None:
+        return found
+    slack = 1.0 + 1e-5  # a limit may be rounded to float32
+    if scene.cloth is not None:
+        found |= law.thickness > slack * limits.cloth * jnp.sqrt(jnp.sum(scene.rest.area))
+    if scene.rope is not None:
+        found |= law.rope() > slack * limits.rope * jnp.sum(scene.rest.length)
+    return found
+
+
+def check_self_contact(
+    topology: Topology, mesh: ThinMesh, rest: RestShape, law: SelfContact | None
+) -> tuple[ContactElements | None, ThicknessLimits | None]:
+    """The elements of self-contact and the thickness for which they are right, None without self-contact.
 
     Raises:
       ValueError: an illegal number, a traced thickness, or cloth that is thicker than half of its triangles' height.
     """
     if law is None:
-        return None
+        return None, None
     check_numbers(law.legal_numbers("self_contact"))
     if isinstance(law.thickness, Tracer) or isinstance(law.rope(), Tracer):
         raise ValueError(
@@ -59,20 +98,18 @@ def check_self_contact(topology: Topology, mesh: ThinMesh, law: SelfContact | No
             f"{height:.3g} m of a triangle: take thinner cloth or a coarser mesh"
         )
     used = [law.rope()] * bool(len(mesh.segments)) + [law.thickness] * bool(len(mesh.triangles))
-    return ContactElements(topology, vertices, max(float(k) for k in used))
-
-
-def self_contact_numbers(scene: "ThinScene") -> list[Number]:
-    """The numbers of self-contact with their legal values; a thickness above that of the neighbours is illegal."""
-    law, elements = scene.self_contact, scene.contact_elements
-    if law is None or elements is None:
-        return []
-    most = (1.0 + 1e-5) * elements.largest_thickness  # the limit may be rounded to float32
-    of_cloth, remedy = min(most, (0.5 + 1e-5) * elements.smallest_height), "build the scene with the largest thickness"
-    limits = [("thickness", law.thickness, of_cloth)] * (scene.cloth is not None)
-    limits += [("rope_thickness", law.rope(), most)] * (scene.rope is not None)
-    thicknesses = [Number(f"self_contact.{name}", value, Legal(0.0, limit), remedy) for name, value, limit in limits]
-    return [*law.legal_numbers("self_contact"), *thicknesses]
+    thickness = max(float(k) for k in used)
+    near, longer = near_vertices(mesh_edges(topology), vertices, APART * thickness)
+    elements = ContactElements(topology, vertices, near)
+    of_cloth, of_rope = (
+        max(thickness, float(np.min(longer[own], initial=np.inf)) / APART)
+        for own in (~elements.in_rope, elements.in_rope)
+    )
+    area, length = float(np.sum(rest.area)), float(np.sum(rest.length))
+    return elements, ThicknessLimits(
+        cloth=min(of_cloth, 0.5 * height) / np.sqrt(area) if area else np.inf,
+        rope=of_rope / length if length else np.inf,
+    )
 
 
 def check_max_speed(scene: "ThinScene") -> None:
@@ -88,4 +125,4 @@ def check_max_speed(scene: "ThinScene") -> None:
         )
 
 
-__all__ = ["check_max_speed", "check_self_contact", "largest_safe_speed", "self_contact_numbers"]
+__all__ = ["check_max_speed", "check_self_contact", "is_too_thick", "largest_safe_speed"]

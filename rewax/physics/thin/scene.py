@@ -21,7 +21,7 @@ from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
-from rewax.physics.thin.safe_speed import check_max_speed, check_self_contact
+from rewax.physics.thin.safe_speed import ThicknessLimits, check_max_speed, check_self_contact
 from rewax.physics.thin.scene_checks import check_lengths, check_materials, check_stepper, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, Topology
@@ -100,6 +100,7 @@ class ThinScene(struct.Replaceable):
       bending_law: the law of bending of cloth (static).
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
+      thickness_limits: the thickness for which they are right, or None.
       stepper: settings of implicit steps (static); None: explicit ones.
       grasps: grippers that hold vertices.
     """
@@ -120,6 +121,7 @@ class ThinScene(struct.Replaceable):
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
+    thickness_limits: ThicknessLimits | None = None
     stepper: Implicit | None = struct.static_field(default=None)
     grasps: tuple[Grasp, ...] = ()
 
@@ -208,6 +210,7 @@ def make_scene(
     if isinstance(rest.area, Tracer):  # inside a traced function
         with jax.ensure_compile_time_eval():
             rest = _rest(topology, mesh.vertices, mesh.pattern, warp)
+    contact_elements, thickness_limits = check_self_contact(topology, mesh, rest, self_contact)
     scene = ThinScene(
         topology=topology,
         dt=dt,
@@ -224,7 +227,8 @@ def make_scene(
         law=law,
         bending_law=bending_law,
         self_contact=self_contact,
-        contact_elements=check_self_contact(topology, mesh, self_contact),
+        contact_elements=contact_elements,
+        thickness_limits=thickness_limits,
         stepper=stepper,
         grasps=tuple(grasps),
     )

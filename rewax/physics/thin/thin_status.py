@@ -10,7 +10,7 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import elements
 from rewax.physics.thin.grasps import grasp_numbers
 from rewax.physics.thin.incremental import inverse_edges
-from rewax.physics.thin.safe_speed import self_contact_numbers
+from rewax.physics.thin.safe_speed import is_too_thick
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState, check_vertices
 from rewax.physics.thin.scene_checks import cloth_is_unstable, law_does_not_fit, scene_numbers
 from rewax.physics.thin.self_status import self_status
@@ -53,7 +53,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
         *scene_numbers(
             scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
         ),
-        *self_contact_numbers(scene),
+        *([] if scene.self_contact is None else scene.self_contact.legal_numbers("self_contact")),
         *grasp_numbers(scene.grasps),
         Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
         Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
@@ -65,6 +65,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     if scene.stepper is not None and scene.contact is not None:
         # The force would jump, and an implicit step might have no solution.
         soft |= jnp.any((jnp.asarray(scene.contact.damping) > 0) & ~(jnp.asarray(scene.contact.onset) > 0))
+    soft |= is_too_thick(scene)
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     missed = jnp.bool_(False)

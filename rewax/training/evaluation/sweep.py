@@ -9,6 +9,7 @@ from typing import Any
 import jax
 
 from rewax.envs.base import Env
+from rewax.envs.copied_geoms import check_colliders
 from rewax.envs.randomize import Constant, LeafDraws, hook, leaves
 from rewax.envs.randomize.hooks import reached
 from rewax.envs.randomized import Randomized, changed_by
@@ -53,11 +54,12 @@ def with_parameters(env: Env, values: Mapping[str, float]) -> Env:
     """An environment of the same structure with other values of some parameters, which are no longer drawn at resets.
 
     Raises:
-      ValueError: the environment has no such parameter, a function of the user draws it, or it is drawn together with
-        others that keep their draws.
+      ValueError: the environment has no such parameter, a function of the user draws it, it is drawn together with
+        others that keep their draws, or it would not reach the soft body (``copied_geoms``).
     """
-    fixed = hook({name: Constant(value) for name, value in values.items()})
-    return _without_draws_of([name.removeprefix(".") for name in values], fixed(jax.random.key(0), env))
+    fixed = hook({name: Constant(value) for name, value in values.items()})(jax.random.key(0), env)
+    check_colliders(env, fixed)
+    return _without_draws_of([name.removeprefix(".") for name in values], fixed)
 
 
 def _drawn_by(randomize: Any, env: Any) -> set[str]:

@@ -7,6 +7,7 @@ contents is complete. All other files and folders there are left alone.
 """
 
 import contextlib
+import errno
 import json
 import logging
 import shutil
@@ -38,8 +39,10 @@ from rewax.whole_files import replacing
 T = TypeVar("T")
 _SIMULATED = (".environments.state.physics", ".environments.state.metrics")
 """Beginnings of the names of arrays that a new episode makes anew."""
-_PASSING = ("RESOURCE_EXHAUSTED", "PERMISSION_DENIED", "UNAVAILABLE")
+_PASSING = ("RESOURCE_EXHAUSTED", "PERMISSION_DENIED", "UNAVAILABLE", "DEADLINE_EXCEEDED")
 """Errors of the machine in messages of Orbax and JAX."""
+_OF_THE_FILE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EIO)
+"""Errors of the system that a damaged checkpoint causes, or a damaged disk."""
 _HEALTHY = "healthy"
 """Beside the checkpoints: the iteration of the last one from before failures."""
 
@@ -320,10 +323,19 @@ def _checkpointer() -> ocp.Checkpointer:
     return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
 
 
+def _may_pass(error: BaseException | None) -> bool:
+    """Whether the machine failed, not the file: too many open files, no memory, no permission."""
+    while error is not None:
+        of_system = isinstance(error, OSError) and error.errno not in (*_OF_THE_FILE, None)
+        if of_system or isinstance(error, MemoryError) or any(code in str(error) for code in _PASSING):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def _unreadable(path: Path, error: object) -> DamagedCheckpoint | Unread:
     reason = str(error).strip().split("\n")[0][:200] or type(error).__name__
-    gone = isinstance(error, (FileNotFoundError, NotADirectoryError, IsADirectoryError))
-    if (isinstance(error, (OSError, MemoryError)) and not gone) or any(code in reason for code in _PASSING):
+    if isinstance(error, BaseException) and _may_pass(error):
         return Unread(f"checkpoint {path} could not be read now ({reason}): remove the cause, and repeat the command")
     return DamagedCheckpoint(f"checkpoint {path} is damaged and cannot be read ({reason})")
 

@@ -57,11 +57,11 @@ def import_recorded(config: Mapping[str, Any], run_dir: str | Path) -> None:
                 f"{run_dir} was trained with --import of the module {name!r} in {folder}, which is gone: put it back, "
                 "or give its new place with --import"
             )
-        installed = "site-packages" in folder.parts  # in another environment it lies elsewhere
+        installed = {"site-packages", "dist-packages"} & set(folder.parts)  # in another environment it lies elsewhere
         if not installed and _is_beside(name, folder) and (other := _other_folder(name, folder)):
             raise ValueError(
                 f"{run_dir} was trained with the module {name!r} in {folder}, but that in {other} would be imported: "
-                "rename one of them, or start Python where only the right one is found"
+                "rename one of them, or give the right one with --import"
             )
         _import(name, folder)
 
@@ -107,7 +107,7 @@ def _other_folder(name: str, folder: Path) -> str:
     """The folder from which a module would be imported if it is not this one, else an empty text."""
     top = name.partition(".")[0]
     spec = sys.modules[top].__spec__ if top in sys.modules else importlib.util.find_spec(top)
-    found = "" if spec is None else _folder_of(spec)
+    found = "" if spec is None or spec.origin is None else _folder_of(spec)  # None: its folders are merged
     return found if found != str(folder.resolve()) else ""
 
 

@@ -259,8 +259,8 @@ def _run(
 
 def _provenance_of(folder: Path) -> dict[str, str]:
     """Commit, processor, C++ and JAX of a run; those of all parts if it was resumed with others."""
-    parts = read_config(folder)["provenance"]
-    return {name: " then ".join(dict.fromkeys(part[name] for part in parts)) for name in provenance()}
+    parts, now = read_config(folder).get("provenance", []), provenance()
+    return {name: " then ".join(dict.fromkeys(p.get(name, "") for p in parts)) or now[name] for name in now}
 
 
 def _known_baselines(out_dir: Path, task: str) -> dict[str, float]:

@@ -83,7 +83,7 @@ class Suite:
                     "them, or write [options.all]"
                 )
 
-            if self.steps and "num_iterations" in changes:
+            if set(self.steps) == set(self.tasks) and "num_iterations" in changes:
                 raise ValueError(
                     f"steps and num_iterations of options.{name} of the suite {self.name} both say how long to train: "
                     "give one of them"

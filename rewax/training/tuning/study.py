@@ -182,6 +182,8 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
         return
     except Exception as error:  # such as out of memory, or values that fit no program: other trials may succeed
         _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
+        if trial.number == 0 and isinstance(error, ValueError):  # the preset: a fault of the task
+            raise
         return
     if number < task.reports:
         return  # stopped: the trial stays running in the journal, and the process that continues the study repeats it

@@ -88,8 +88,9 @@ def test_what_is_no_number_is_refused(value):
         (0.1, (0.0, 0.5), False),
         (0.0, (0.0, 0.5), True),
         (np.array([0.0, 0.1]), (np.array([0.0, 0.5]),), False),
-        (np.array([0.0, 0.1]), (np.array([0.5, 0.5]),), True),
-        (np.array([0.0, 0.1]), (0.5,), True),
+        (np.array([0.0, 0.1]), (0.5,), False),  # one of the vertices slides freely
+        (np.array([0.0, 0.1]), (np.array([0.5, 0.0]),), True),
+        (np.zeros(2), (0.5,), True),
         (0.0, (np.array([0.0, 0.5]), 0.0), True),
     ],
 )

@@ -1,6 +1,10 @@
 """What self-contact refuses when a scene is built, and which numbers are illegal later."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from self_contact_bodies import FORCE, law
 from thin_bodies import LINE, SHEET, cloth_scene, rope_scene
@@ -26,7 +30,7 @@ def test_illegal_self_contact_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("make", "mesh", "name", "built", "legal", "illegal"),
     [
-        (cloth_scene, SHEET, "thickness", 0.01, 0.02, 0.08),
+        (cloth_scene, SHEET, "thickness", 0.01, 0.02, 0.05),  # half of a triangle's height is 0.035
         (rope_scene, LINE, "rope_thickness", 0.02, 0.06, 0.12),
     ],
 )
@@ -41,6 +45,12 @@ def test_a_thickness_that_needs_more_neighbours_is_illegal(x64, make, mesh, name
     assert thin.check_status(changed(legal), state) == Status.OK
     assert float(jnp.abs(FORCE(changed(legal), state)).max()) == 0.0
     assert thin.check_status(changed(illegal), state) & Status.INVALID_PARAMETERS
+    half = dataclasses.replace(mesh, vertices=0.5 * np.asarray(mesh.vertices))
+    smaller = make(half, self_contact=law(thickness=0.5 * built, max_speed=0.05))
+    assert jax.tree.structure(smaller) == jax.tree.structure(scene)  # so they can be stacked
+    assert thin.check_status(scene.replace(rest=smaller.rest, self_contact=changed(legal).self_contact), state) & (
+        Status.INVALID_PARAMETERS
+    )
 
 
 def test_a_friction_that_begins_later_needs_its_damping():

@@ -220,7 +220,11 @@ def test_damage_falls_back_to_the_checkpoint_before_it(tmp_path):
 
 @pytest.mark.parametrize(
     "error",
-    [OSError(24, "Too many open files"), MemoryError("no room"), ValueError("RESOURCE_EXHAUSTED: Out of memory")],
+    [
+        OSError(24, "Too many open files"),
+        MemoryError("no room"),
+        ValueError("Orbax:\n" + "x" * 300 + " RESOURCE_EXHAUSTED: Out of memory"),
+    ],
     ids=["files", "memory", "device"],
 )
 @pytest.mark.parametrize("what", ["arrays", "leaves.json"])

@@ -153,6 +153,18 @@ def test_a_search_is_continued_and_a_trial_that_was_cut_off_done_anew(tmp_path, 
     assert search(tmp_path, 4)[0] == 0 and len(table(tmp_path)) == 5  # nothing is left
 
 
+def test_a_preset_that_cannot_be_trained_ends_the_search_in_one_sentence(tmp_path, monkeypatch):
+    def broken(values):
+        raise ValueError("env.step returned a list")
+
+    with monkeypatch.context() as patch, pytest.raises(ValueError, match="returned a list"):
+        patch.setattr(studies, "run_trial", quickly(broken))
+        search(tmp_path, 3)
+    monkeypatch.setattr(studies, "run_trial", quickly())
+    assert search(tmp_path, 3)[0] == 0
+    assert [row["state"] for row in table(tmp_path)] == ["failed", "complete", "complete"]
+
+
 def test_a_trial_that_is_stopped_in_its_last_evaluation_is_complete(tmp_path, monkeypatch):
     def run_trial(task, env, values, console, stopped):
         for number in range(1, task.reports + 1):
