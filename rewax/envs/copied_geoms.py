@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from rewax.envs.wrappers import _Wrapper
 from rewax.physics.contact import Collider
@@ -29,7 +30,7 @@ def check_colliders(old: Any, new: Any) -> None:
     Raises:
       ValueError: a geom changed, but not the collider that is its copy.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((old, new))):
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((old, new))):
         return
     before, after = _innermost(old), _innermost(new)
     colliders = _colliders(before)
