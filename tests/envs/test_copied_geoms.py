@@ -51,6 +51,19 @@ def test_a_geom_that_is_no_collider_may_change_alone():
         check_hook(one_sided, hook({"model.parameters[geom_friction]": FACTOR}))
 
 
+def test_a_geom_beside_a_collider_on_its_body_may_change_alone():
+    env = rewax.make("HandFlip", scale="small")
+    bodies = [int(body) for body in env.hand.static.mj.geom_bodyid]
+    beside = next(i for i, body in enumerate(bodies) if bodies.count(body) > 1)
+    kept = tuple(collider for i, collider in enumerate(env.scene.colliders) if i != beside)
+    assert len(env.scene.colliders) == len(bodies) and bodies[beside] in {collider.body for collider in kept}
+    fewer = env.replace(scene=env.scene.replace(colliders=kept))
+    one = hook({f"hand.parameters[geom_friction][{beside}]": FACTOR})
+    check_hook(fewer, one)
+    with pytest.raises(ValueError, match=rf"of geom {beside} is changed, but not its copy scene"):
+        check_hook(env, one)
+
+
 def test_colliders_made_anew_pass():
     env = rewax.make("GripperLift", scale="small")
 
