@@ -1,6 +1,7 @@
 """``check_shape`` passes every built-in shape and a user's, and names what is wrong with broken ones."""
 
 import re
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from rewax.physics.shapes import (
 )
 from rewax.testing import check_shape
 from rewax.testing.shape_points import Sample
-from rewax.testing.shape_programs import check_programs
+from rewax.testing.shape_programs import _check_same, check_programs
 from rewax.testing.shape_rays import check_rays
 from rewax.testing.shape_solid import check_bounds, check_drawings, check_inertia, check_volume
 from rewax.types import Scalar
@@ -189,6 +190,10 @@ BROKEN_SOLID = {
         check_inertia, torus(inertia=lambda self, density: (Torus.inertia(self, density)[0], jnp.eye(3) * 0.006)),
         "moments of inertia of Broken are [[0.006",
     ),
+    "a moment that is no number": (
+        check_inertia, torus(inertia=lambda self, density: (Torus.inertia(self, density)[0], jnp.eye(3) * jnp.nan)),
+        "moments of inertia of Broken are [[nan",
+    ),
     "rays that miss": (
         check_rays, torus(cast=lambda self, origin, direction: jnp.full_like(origin[0], jnp.inf)), "a ray from (",
     ),
@@ -223,6 +228,16 @@ def test_what_is_wrong_with_a_solid_gets_one_sentence(check, shape, sentence):
     with pytest.raises(AssertionError, match="^" + re.escape(sentence)) as error:
         check(Sample(shape, jax.random.key(0), None))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("found", [np.nan, np.inf, 2.0])
+def test_programs_that_give_other_numbers_are_found_though_they_are_not_finite(found):
+    sample, right = SimpleNamespace(name="Broken"), np.array([1.0, np.inf, np.nan])
+    _check_same(sample, "jit", right, right)
+    with pytest.raises(AssertionError, match="jit changes numbers of distance of Broken"):
+        _check_same(sample, "jit", np.array([found, np.inf, np.nan]), right)
+    with pytest.raises(AssertionError, match="jit changes numbers of distance of Broken"):
+        _check_same(sample, "jit", np.array([1.0, found, np.nan]), np.where(right == found, 3.0, right))
 
 
 def test_a_bound_is_legal_where_it_says_so():

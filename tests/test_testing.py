@@ -13,6 +13,7 @@ from rewax.envs.base import ArraySpec, first_state
 from rewax.envs.wrappers import AutoReset
 from rewax.status import Status
 from rewax.testing import check_env
+from rewax.testing.functions import check_same
 
 
 def broken(**methods):
@@ -371,6 +372,16 @@ def test_an_environment_that_agents_cannot_take_apart_is_named():
     named = toys.point_mass().replace(gain="half")
     with pytest.raises(AssertionError, match=r"^.gain of PointMass is a str: .* make its field a static_field"):
         check_env(named, notify=None)
+
+
+def test_an_infinite_number_hides_no_difference_beside_it():
+    one, other = {"best": jnp.array([1.0, jnp.inf])}, {"best": jnp.array([500.0, jnp.inf])}
+    check_same(one, one, 1e-3, "two steps", "be pure")
+    check_same({"best": jnp.array([jnp.nan])}, {"best": jnp.array([jnp.nan])}, 1e-3, "two steps", "be pure")
+    for wrong in (other, {"best": jnp.array([1.0, -jnp.inf])}, {"best": jnp.array([1.0, 2.0])}):
+        for a, b in ((one, wrong), (wrong, one)):
+            with pytest.raises(AssertionError, match=r"two steps differ in \['best'\] of the state: be pure"):
+                check_same(a, b, 1e-3, "two steps", "be pure")
 
 
 def test_an_automatic_reset_is_found():

@@ -111,7 +111,7 @@ def sources(module: str) -> str:
     """Hash of the sources of a module of rewax, of those that it imports, and so on; of all modules of a package.
 
     Raises:
-      _UnknownError: a source was edited after this process has imported it.
+      _UnknownError: a source was edited or replaced after this process has imported it.
     """
     found: dict[str, bytes] = {}
     rest = [module]
@@ -121,7 +121,8 @@ def sources(module: str) -> str:
         if name in found or path is None:
             continue
         found[name] = path.read_bytes()
-        if path.stat().st_mtime > _IMPORTED:
+        written = path.stat()
+        if max(written.st_mtime, written.st_ctime) > _IMPORTED:  # a copy may keep the time of the original
             raise _UnknownError(name)
         rest += _imports(found[name])
         if name == module and path.stem == "__init__":

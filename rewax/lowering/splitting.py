@@ -36,6 +36,8 @@ def split_vector(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array
     size = sum(math.prod(shape) for shape in shapes)
     if vector.shape != (size,):
         raise ValueError(f"vector has shape {vector.shape}: give ({size},), the total size of the shapes")
+    if not shapes:
+        return []
     like = [jax.ShapeDtypeStruct(shape, vector.dtype) for shape in shapes]
     return list(linear_call(_SPLIT, _joined, shapes, (), (vector,), like=like))
 

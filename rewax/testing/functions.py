@@ -168,13 +168,19 @@ def _floats(tree: PyTree) -> list[np.ndarray]:
 def check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str, *, of: str = "the state") -> None:
     """Checks that two pytrees agree: integers and keys exactly, floats within a tolerance.
 
-    The absolute tolerance of a floating-point leaf is ``tolerance * max(1, max(abs(leaf)))``.
+    The absolute tolerance of a floating-point leaf is ``tolerance * max(1, max(abs(leaf)))``, by its finite numbers.
+    The others have to be equal; NaN equals NaN.
     """
     assert jax.tree.structure(a) == jax.tree.structure(b), f"{what} return different structures: {remedy}"
     for (path, x), y in zip(jax.tree.leaves_with_path(a), jax.tree.leaves(b), strict=True):
         if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
             x, y = jax.random.key_data(x), jax.random.key_data(y)
         x, y = np.asarray(x), np.asarray(y)
-        slack = tolerance * max(1.0, np.max(np.abs(y), initial=0.0)) if jnp.issubdtype(x.dtype, jnp.floating) else 0
-        same = np.allclose(x, y, rtol=0.0, atol=slack, equal_nan=True)
+        if jnp.issubdtype(x.dtype, jnp.floating):
+            finite = np.isfinite(y)
+            slack = tolerance * max(1.0, np.max(np.abs(y[finite]), initial=0.0))
+            same = np.allclose(x[finite], y[finite], rtol=0.0, atol=slack)
+            same &= np.array_equal(x[~finite], y[~finite], equal_nan=True)
+        else:
+            same = np.array_equal(x, y)
         assert same, f"{what} differ in {jax.tree_util.keystr(path)} of {of}: {remedy}"

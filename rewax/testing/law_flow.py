@@ -36,7 +36,7 @@ def check_flow(m: Material, F: Array, seed: int) -> None:
     _check_without_flow(m, seed)
     if factor is not None:
         far = response(m, F @ F @ F, zeros, memory)[2]
-        most = max(float(jnp.max(m.plasticity.stiffness(a))) for a in (memory, after, far))  # type: ignore[arg-type]
+        most = float(jnp.max(jnp.stack([jnp.max(m.plasticity.stiffness(a)) for a in (memory, after, far)])))  # type: ignore[arg-type]
         assert most <= m.plasticity.largest_stiffness * (1.0 + 1e-6), (
             f"stiffness reaches {most:.3g}, but largest_stiffness is {m.plasticity.largest_stiffness:.3g}, with which "
             "the stable substep is computed: raise largest_stiffness, or bound stiffness"

@@ -43,7 +43,7 @@ def _material_color(name: str) -> tuple[float, float, float]:
     if not (base and number.isdecimal()):
         return MATERIALS.get(name, OTHER)
     hue, lightness, saturation = colorsys.rgb_to_hls(*_material_color(base))
-    step = int(number) - 1
+    step = max(int(number) - 1, 0)
     return colorsys.hls_to_rgb((hue + 0.11 * step) % 1.0, lightness * 0.8**step, saturation)
 
 

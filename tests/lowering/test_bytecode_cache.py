@@ -2,6 +2,7 @@
 
 import functools
 import os
+import time
 
 import jax
 import jax.numpy as jnp
@@ -173,6 +174,16 @@ def test_sources_that_are_newer_than_the_process_have_no_key(kept, monkeypatch):
     bytecode_cache.sources.cache_clear()
     monkeypatch.setattr(bytecode_cache, "_IMPORTED", imported)
     assert key(mixed) is None
+
+
+def test_sources_that_were_replaced_by_a_copy_with_its_old_time_have_no_key(tmp_path, monkeypatch):
+    path = tmp_path / "copied.py"
+    monkeypatch.setattr(bytecode_cache, "_file_of", lambda module: path)
+    monkeypatch.setattr(bytecode_cache, "_IMPORTED", time.time() - 1.0)
+    path.write_text("a = 1\n")
+    os.utime(path, (1000, 1000))
+    with pytest.raises(bytecode_cache._UnknownError):
+        bytecode_cache.sources.__wrapped__("rewax.copied")
 
 
 @NEEDS_COMPILER
