@@ -24,7 +24,7 @@ def refused(run_dir, *words, **kwargs):
 
 def test_one_holder_at_a_time(tmp_path):
     with hold(tmp_path / "run"):
-        refused(tmp_path / "run", f"is in use by process {os.getpid()} on ", "--run-dir")
+        refused(tmp_path / "run", f"is in use by process {os.getpid()} on ", "choose another directory")
         with hold(tmp_path / "other"):
             pass
     with hold(tmp_path / "run"):
@@ -67,8 +67,8 @@ def test_the_lock_ends_with_its_process(tmp_path):
 
 def test_impossible_places(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("x")
-    refused(tmp_path / "file", "is not a directory", "--run-dir")
-    refused(tmp_path / "file" / "run", "cannot be written to (Not a directory)", "--run-dir")
+    refused(tmp_path / "file", "is not a directory", "choose another directory")
+    refused(tmp_path / "file" / "run", "cannot be written to (Not a directory)", "choose another directory")
     refused(tmp_path / "nowhere", "there is no run directory", must_exist=True)
     assert not (tmp_path / "nowhere").exists()
     (tmp_path / "a").mkdir()
@@ -77,7 +77,7 @@ def test_impossible_places(tmp_path, monkeypatch):
     (tmp_path / "b" / "config.json").mkdir(parents=True)
     refused(tmp_path / "b", "config.json is a directory")
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere
-    refused(tmp_path / "c", "cannot be written to (Permission denied)", "--run-dir")
+    refused(tmp_path / "c", "cannot be written to (Permission denied)", "choose another directory")
 
 
 def test_nothing_is_computed_in_a_directory_that_cannot_be_used(tmp_path):
