@@ -7,7 +7,6 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from rewax.envs.wrappers import _Wrapper
 from rewax.physics.contact import Collider
 from rewax.physics.rigid import RigidModel
 from rewax.types import Array
@@ -32,7 +31,7 @@ def check_colliders(old: Any, new: Any) -> None:
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((old, new))):
         return
-    before, after = _innermost(old), _innermost(new)
+    before, after = (getattr(env, "unwrapped", env) for env in (old, new))
     colliders = _colliders(before)
     for name, model in _robots(before) if colliders else ():
         changed = getattr(after, name).parameters
@@ -45,12 +44,6 @@ def check_colliders(old: Any, new: Any) -> None:
                         f"scene.colliders[{i}].{_PARTS[part]}, which touches the soft body: change both, or make the "
                         "scene's colliders anew with rigid.colliders"
                     )
-
-
-def _innermost(env: Any) -> Any:
-    while isinstance(env, _Wrapper):
-        env = env.env
-    return getattr(env, "unwrapped", env)
 
 
 def _colliders(env: Any) -> tuple[Collider, ...]:

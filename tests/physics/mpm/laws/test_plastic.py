@@ -109,7 +109,7 @@ def test_sand_that_is_pulled_apart_goes_to_the_apex(x64):
 def test_fresh_sand_at_rest_does_not_hang_on_a_cohesion_of_zero(x64):
     """At F = I and cohesion 0 the apex itself is reached; a small cohesion changes nothing there."""
 
-    def stretch(cohesion, size=0.0):
+    def flowed(cohesion, size=0.0):
         return plastic(DruckerPrager(friction_angle=ANGLE, cohesion=cohesion), np.exp([size] * 3))[0]
 
     def changed(cohesion):
@@ -121,8 +121,8 @@ def test_fresh_sand_at_rest_does_not_hang_on_a_cohesion_of_zero(x64):
 
     np.testing.assert_array_equal(jax.jacfwd(changed)(0.0), 0.0)
     np.testing.assert_array_equal(jax.jacrev(changed)(0.0), 0.0)
-    np.testing.assert_array_equal(stretch(1e-3), 1.0)
-    np.testing.assert_allclose(stretch(1e-3, 0.01), np.exp(1e-3), rtol=1e-12)
+    np.testing.assert_array_equal(flowed(1e-3), 1.0)
+    np.testing.assert_allclose(flowed(1e-3, 0.01), np.exp(1e-3), rtol=1e-12)
 
 
 def snow() -> Snow:
