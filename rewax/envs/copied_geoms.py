@@ -1,15 +1,17 @@
 """Geoms of a robot and the colliders made of them: a change of the geoms alone does not reach the soft body."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 from jax.core import Tracer
 
 from rewax.physics.contact import Collider
-from rewax.physics.rigid import RigidModel
 from rewax.types import Array
+
+if TYPE_CHECKING:  # it imports mujoco, which tasks without a robot do not need
+    from rewax.physics.rigid import RigidModel
 
 _PARTS = {"geom_friction": "friction", "geom_size": "shape", "geom_pos": "offset", "geom_quat": "rotation"}
 """Parameters of geoms, and the part of a collider that ``rigid.colliders`` makes of each."""
@@ -50,8 +52,13 @@ def _colliders(env: Any) -> tuple[Collider, ...]:
     return getattr(getattr(env, "scene", None), "colliders", ())
 
 
-def _robots(env: Any) -> Iterator[tuple[str, RigidModel]]:
-    return ((name, value) for name, value in vars(env).items() if isinstance(value, RigidModel))
+def _robots(env: Any) -> Iterator[tuple[str, "RigidModel"]]:
+    return ((name, value) for name, value in vars(env).items() if _PARTS.keys() <= _parameters(value).keys())
+
+
+def _parameters(value: Any) -> dict[str, Array]:
+    parameters = getattr(value, "parameters", None)
+    return parameters if isinstance(parameters, dict) else {}
 
 
 def _changed_geoms(old: dict[str, Array], new: dict[str, Array]) -> Iterator[tuple[str, int]]:
@@ -64,7 +71,7 @@ def _changed_geoms(old: dict[str, Array], new: dict[str, Array]) -> Iterator[tup
         yield from ((part, int(geom)) for geom in np.flatnonzero(own.any(axis=1)))
 
 
-def _copies(colliders: tuple[Collider, ...], model: RigidModel, geom: int) -> Iterator[int]:
+def _copies(colliders: tuple[Collider, ...], model: "RigidModel", geom: int) -> Iterator[int]:
     """Indices of the colliders with the body, the place and the size of a geom."""
     size, place = (np.asarray(model.parameters[name])[geom] for name in ("geom_size", "geom_pos"))
     for i, collider in enumerate(colliders):
