@@ -128,6 +128,14 @@ class Stiffens(Plasticity):
 
 
 @struct.dataclass
+class Undefined(Stiffens):
+    """Beyond a stretch that small deformations do not reach, its stiffness is no number."""
+
+    def stiffness(self, memory):
+        return jnp.where(memory[0] > 0.25, jnp.nan, 1.0)
+
+
+@struct.dataclass
 class Ages(Plasticity):
     """Remembers how many substeps it has seen."""
 
@@ -166,6 +174,7 @@ SOLID = {"density": 1e3, "elasticity": Hencky(**NUMBERS)}
     [
         (Material(**SOLID, plasticity=Half(limit=0.1)), "the deformation after flow is not that of the stretches aft"),
         (Material(**SOLID, plasticity=Stiffens(rate=5.0)), "stiffness reaches "),
+        (Material(**SOLID, plasticity=Undefined(rate=5.0)), "stiffness reaches nan"),
         (Material(**SOLID, plasticity=Ages(rate=0.01)), "memory changes in a body at rest"),
         (Material(**SOLID, plasticity=Runaway(yield_stress=10.0)), "flow raises the elastic energy"),
         (Material(**SOLID, viscosity=Tilted(viscosity=1.0)), "viscous stress does not turn with the body"),

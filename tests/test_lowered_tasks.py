@@ -103,6 +103,20 @@ class Sorting(toys.PointMass):
         return self.after(state, interpreted(lambda x, a: jnp.sort(x + jnp.clip(a, -1.0, 1.0)))(state.physics, action))
 
 
+@struct.dataclass
+class Tuned(toys.PointMass):
+    """Its parameter alone enters a function."""
+
+    def step(self, state, action):
+        return self.after(state, state.physics + action * interpreted(jnp.sin)(self.gain))
+
+
+@NEEDS_COMPILER
+def test_the_forward_derivative_by_a_parameter_is_lowered_too():
+    found = where_it_runs(Tuned(gain=jnp.float32(0.5)))
+    assert [(d.rule, d.reason) for d in found] == [(rule, None) for rule in sorted(RULES)]
+
+
 @NEEDS_COMPILER
 def test_users_see_what_is_left_to_xla_in_their_own_task(capsys):
     registry._FACTORIES["Sorting"] = lambda scale: Sorting(gain=jnp.float32(0.5))

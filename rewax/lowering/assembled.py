@@ -65,9 +65,11 @@ def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil 
         listed = isinstance(elements, Listed)
         whole = _whole(function, elements.num_vertices if listed else elements, sums)
         given = tuple(jnp.asarray(a, jnp.int32) for a in (elements.corners, elements.count)) if listed else ()
+        one_type = common_type(fields)
+        if one_type is not None:
+            shared = as_arrays(shared, one_type)
         if not build.is_available():
             return whole(given, shared, own, fields)
-        one_type = common_type(fields)
         at_vertices = all(
             jnp.shape(a) == (elements.num_vertices,) and jnp.result_type(a) == one_type for a in jax.tree.leaves(fields)
         )
@@ -80,7 +82,6 @@ def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil 
                 reason = "its fields and elements are not arrays of their number and of one floating type"
                 report.note(function, "value", reason)
             return whole(given, shared, own, fields)
-        shared = as_arrays(shared, one_type)
         arrays, treedef, constants = split_arguments((given, shared, own, fields))
         kinds = [len(split_arguments(part)[0]) for part in (given, shared, own, fields)]
         varies = (False,) * sum(kinds[:2]) + (True,) * sum(kinds[2:])

@@ -30,6 +30,9 @@ THREADS = Path(__file__).with_name("threads.h")
 _refused: set["Source"] = set()
 """Programs whose shipped library this JAX refuses."""
 
+_loaded: dict["Source", "Loaded"] = {}
+"""What ``load`` returned."""
+
 _locks: dict["Source", threading.Lock] = {}
 if hasattr(os, "register_at_fork"):  # a lock that another thread holds would never be released in the child
     os.register_at_fork(after_in_child=_locks.clear)
@@ -81,7 +84,7 @@ def register(source: Source, symbols: tuple[str, ...]) -> bool:
         if version is None:
             raise
         _refused.add(source)
-        load.cache_clear()
+        _loaded.pop(source, None)
         return register.__wrapped__(source, symbols)
     return True
 
@@ -96,7 +99,6 @@ def is_usable(source: Source, symbols: tuple[str, ...], name: str) -> bool:
     return registered
 
 
-@functools.cache
 def load(source: Source) -> Loaded:
     """The library of a C++ program: shipped, cached, or built now.
 
@@ -104,8 +106,11 @@ def load(source: Source) -> Loaded:
     jaxlib and processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++. With ``REWAX_NATIVE=build``
     in the environment, shipped libraries are not used. Threads that load the same program build it once.
     """
-    with _locks.setdefault(source, threading.Lock()):
-        return _load(source)
+    if source not in _loaded:
+        with _locks.setdefault(source, threading.Lock()):
+            if source not in _loaded:
+                _loaded[source] = _load(source)
+    return _loaded[source]
 
 
 def _load(source: Source) -> Loaded:

@@ -51,8 +51,9 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         is a pytree of small arrays and numbers that all elements use. The function consists of arithmetic, comparisons
         and selections, and applies them to each element independently.
 
-    Floats in ``shared`` become arrays, so that one program serves all values; integers are static. If elements are not
-    arrays of one length and one precision, the function itself runs, with a warning.
+    Floats in ``shared`` become arrays of the elements' type, on every device, so that one program serves all values;
+    integers are static. If elements are not arrays of one length and one precision, the function itself runs, with a
+    warning.
 
     Gradient: exact, forward and reverse, with respect to both arguments. No second derivatives in the machine.
     """
@@ -60,13 +61,14 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
         dtype = common_type(elements)
-        if not build.is_available():
-            return function(shared, elements) if dtype is None else broadcast(function)(shared, elements)
+        available = build.is_available()
         if dtype is None:
-            if jax.default_backend() == "cpu":
+            if available and jax.default_backend() == "cpu":
                 report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
         shared = as_arrays(shared, dtype)
+        if not available:
+            return broadcast(function)(shared, elements)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
         varies = tuple(k >= len(first) for k in range(len(arrays)))
@@ -214,9 +216,9 @@ def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ..
         key = key_of(function, "blocks", which, program.perturbed, program.varies, avals, varies)
         make = functools.partial(bytecode_of, which, program, avals, varies, function)
         bytecode, dtype, outputs = remembered(key, make)
+        number, reason = load(dtype, bytecode)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
-    number, reason = load(dtype, bytecode)
     return reason if number is None else Target(machine(dtype), number, outputs, bytecode.operands)

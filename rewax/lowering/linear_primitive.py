@@ -6,8 +6,10 @@ primitive of this module (see "JAX internals: primitives" in JAX's documentation
 """
 
 import functools
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import jax
@@ -235,12 +237,20 @@ def _lower(lower: Callable[..., Any], context: Any, *args: Any, **params: Any) -
     try:
         return lower(context, *args, **params)
     except (NameError, AssertionError) as error:
-        if str(error) and "unbound axis name" not in str(error):
+        if not _is_of_a_collective(error):
             raise
         raise ValueError(
             "a function that rewax compiles uses a collective, such as jax.lax.pmean, over an axis of vmap: use it "
             "outside of this function"
         ) from error
+
+
+def _is_of_a_collective(error: NameError | AssertionError) -> bool:
+    """Whether JAX raised it because a collective's axis has no name: JAX fails a bare assertion, or says so."""
+    if isinstance(error, NameError):
+        return "unbound axis name" in str(error)
+    raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
+    return not str(error) and Path(jax.__file__).parent in Path(raised_in).parents
 
 
 _lower_elsewhere = functools.partial(_lower, mlir.lower_fun(run_elsewhere, multiple_results=True))

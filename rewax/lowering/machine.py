@@ -107,11 +107,11 @@ def _target(which: str, program: Program, avals: tuple, count: int, context: Any
         function = trace_function(which, program, avals[:count])
         key = key_of(function, "lanes", which, program.perturbed, avals)
         dtype, bytecode, outputs = remembered(key, functools.partial(_assembled, which, program, avals, function))
+        number, reason = load(dtype, bytecode)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
-    number, reason = load(dtype, bytecode)
     return reason if number is None else _Target(machine(dtype).lanes_handler, number, bytecode.operands, outputs)
 
 

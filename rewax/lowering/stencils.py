@@ -55,7 +55,8 @@ class Listed(NamedTuple):
     """Elements that a program finds as it runs, in a list of fixed length.
 
     Attributes:
-      corners: vertices of each element, int32 of shape (num_corners, capacity).
+      corners: vertices of each element, int32 of shape (num_corners, capacity), all from 0 to num_vertices - 1, beyond
+        the last element, too: the C++ programs do not check them.
       count: number of elements, int32 of shape (); at or above the capacity, all entries are elements.
       num_vertices: length of arrays over vertices.
     """

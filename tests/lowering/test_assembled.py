@@ -203,6 +203,14 @@ def test_without_cpp_the_numbers_are_the_same(x64, monkeypatch, random_like, rel
     assert relative_error(everything(FAST, *given), everything(plain, *given)) < 1e-12
 
 
+@pytest.mark.parametrize("native", ["0", "1"])
+def test_a_number_has_the_precision_of_the_fields_with_and_without_cpp(native, monkeypatch):
+    monkeypatch.setenv("REWAX_NATIVE", native)
+    inverse = at_elements(lambda nu, given: given[1][0]["x"] / (1.0 - 2.0 * nu))
+    found = inverse(elements(5), 0.4999999, (), {"x": jnp.ones(VERTICES)})
+    assert float(found[0]) == 1.0 / (1.0 - 2.0 * np.float32(0.4999999))
+
+
 @NEEDS_COMPILER
 @pytest.mark.parametrize("kind", [np.int32, bool])
 def test_fields_that_are_no_floats_are_left_to_jax(kind, x64):

@@ -23,10 +23,10 @@ needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is n
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("REWAX_NATIVE", raising=False)
-    build.load.cache_clear()
+    build._loaded.clear()
     build.register.cache_clear()
     yield tmp_path
-    build.load.cache_clear()
+    build._loaded.clear()
     build.register.cache_clear()
 
 
@@ -42,9 +42,9 @@ def test_is_built_once_for_each_version_of_the_source(folder):
     (built,) = (folder / "cache" / "rewax" / "native").glob("*")
     assert str(built) == first.reason
     when = built.stat().st_mtime_ns
-    build.load.cache_clear()
+    build._loaded.clear()
     assert build.load(source).reason == first.reason and built.stat().st_mtime_ns == when
-    build.load.cache_clear()
+    build._loaded.clear()
     assert build.load(written(EMPTY.replace("1", "2"))).library.one() == 2
 
 
@@ -122,7 +122,7 @@ def test_the_cache_is_the_users_own_whatever_the_umask(folder):
 @pytest.mark.parametrize("options", [" -O1", " -DX='a b'"])
 def test_cxx_may_hold_options(folder, monkeypatch, options):
     monkeypatch.setenv("CXX", build.compiler() + options)
-    build.load.cache_clear()
+    build._loaded.clear()
     library, reason = build.load(written())
     assert library is not None and library.one() == 1, reason
 

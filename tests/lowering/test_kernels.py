@@ -139,6 +139,14 @@ def test_environments_are_their_own(x64, machine_only):
             np.testing.assert_array_equal(a[i], b)
 
 
+@pytest.mark.parametrize("native", ["0", "1"])
+def test_a_number_has_the_precision_of_the_elements_with_and_without_cpp(native, monkeypatch):
+    """``1 - 2 nu`` of an almost incompressible material is another number in double precision."""
+    monkeypatch.setenv("REWAX_NATIVE", native)
+    found = pointwise(lambda nu, elements: elements / (1.0 - 2.0 * nu))(0.4999999, jnp.ones(3))
+    assert float(found[0]) == 1.0 / (1.0 - 2.0 * np.float32(0.4999999))
+
+
 @NEEDS_COMPILER
 def test_a_number_does_not_make_another_program(machine_only):
     @pointwise
@@ -227,6 +235,17 @@ def test_a_machine_that_cannot_be_built_is_done_without(monkeypatch):
     with pytest.warns(UserWarning, match="runs in XLA, slower than in C\\+\\+: c\\+\\+ failed"):
         found = pointwise(cubed)(1.0, jnp.arange(3.0))
     np.testing.assert_array_equal(found, [1.0, 2.0, 9.0])
+
+
+@NEEDS_COMPILER
+def test_a_machine_that_refuses_a_program_is_done_without(monkeypatch):
+    def refuse(*args):
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr(module, "load", refuse)
+    with pytest.warns(UserWarning, match=r"it could not be lowered \(RuntimeError: no memory\)"):
+        found = pointwise(lambda shared, elements: elements**5 + shared)(1.0, jnp.arange(3.0))
+    np.testing.assert_array_equal(found, [1.0, 2.0, 33.0])
 
 
 def test_a_program_for_a_gpu_builds_nothing(monkeypatch):

@@ -128,6 +128,21 @@ def test_a_collective_over_an_axis_of_vmap_is_refused():
             jax.jit(jax.vmap(interpreted(function), axis_name="i"))(jnp.arange(3.0))
 
 
+def test_a_failed_assertion_of_the_function_itself_is_passed_on():
+    """It is raised where a collective would fail: while JAX lowers the program."""
+
+    def checked(x):
+        if lowering:
+            raise AssertionError
+        return 2.0 * x
+
+    lowering = False
+    traced = jax.jit(jax.vmap(interpreted(checked))).trace(jnp.arange(3.0))
+    lowering = True
+    with pytest.raises(AssertionError):
+        traced.lower()
+
+
 def test_sharding_over_explicit_axes_that_is_lost_is_said():
     mesh = jax.make_mesh((1,), ("x",), axis_types=(jax.sharding.AxisType.Explicit,))
     xs = jax.device_put(jnp.ones((4, 3)), jax.NamedSharding(mesh, jax.P("x")))

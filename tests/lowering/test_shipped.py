@@ -37,10 +37,10 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("REWAX_NATIVE", raising=False)
     monkeypatch.setattr(build, "_refused", set())
-    build.load.cache_clear()
+    build._loaded.clear()
     build.register.cache_clear()
     yield tmp_path / "shipped"
-    build.load.cache_clear()
+    build._loaded.clear()
     build.register.cache_clear()
 
 
@@ -102,7 +102,7 @@ def test_another_source_is_never_stood_for(folder, monkeypatch):
     library, reason = build.load(edited)
     assert library.two() == 3 and "cache" in reason
     assert shipped.find(*SOURCE) and not shipped.find(*SOURCE._replace(optimization=("-O2",)))
-    build.load.cache_clear()
+    build._loaded.clear()
     monkeypatch.setenv("CXX", "/nonexistent")
     assert build.load(edited).library is None
 
