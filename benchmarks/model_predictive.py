@@ -5,8 +5,8 @@
 
 Rows of iLQR are those of ``docs/suites/mpc/results.csv``; a second call goes on where the first stopped. An episode of
 iLQR is one start, seconds are those of planning and acting, with compiled programs. The other rows are those of the
-comparison of algorithms, ``docs/suites/small/results.csv``: returns are means of many starts, seconds are those of
-training.
+comparison of algorithms, ``docs/suites/small/results.csv``: returns are means of many starts, seconds are those of the
+whole run, with compilation and evaluation.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def report(own: list[dict[str, str]], others: list[dict[str, str]]) -> str:
             theirs = [row for row in others if (row["task"], row["algorithm"]) == (task, algorithm)]
             if theirs:
                 trained = algorithm != "no action"
-                seconds = f"{_range(theirs, 'seconds', 0)}, training" if trained else ""
+                seconds = f"{_range(theirs, 'wall_seconds', 0)}, training" if trained else ""
                 name = f"{label}, {_seeds(theirs)}" if trained else label
                 lines.append(f"| {task} | {name} | {_range(theirs, 'deterministic')} | {seconds} |")
     return "\n".join(lines)

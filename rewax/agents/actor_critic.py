@@ -1,6 +1,7 @@
 """Actor and critics bound to a configuration: functions of parameters, observation statistics and observations."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar, cast
 
@@ -181,7 +182,8 @@ def make_actor(env: Env, config: P) -> Actor[P]:
     """Policy network and optimizer for an environment. Only the environment's specs are used.
 
     Raises:
-      ValueError: actions are not bounded by -1 and 1, or ``observe`` names what the environment does not observe.
+      ValueError: actions are no vectors bounded by -1 and 1, or ``observe`` names what the environment does not
+        observe.
     """
     return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
@@ -246,9 +248,14 @@ def _check_names(option: str, names: tuple[str, ...], env: Env) -> None:
             )
 
 
-def _check_bounds(env: Env) -> None:
-    """Raises ValueError unless actions lie in [-1, 1], as the tanh of a policy does."""
-    low, high = env.action_spec.low, env.action_spec.high
+def _check_actions(env: Env) -> None:
+    """Raises ValueError unless actions are vectors in [-1, 1], as the tanh of a policy is."""
+    low, high, shape = env.action_spec.low, env.action_spec.high, env.action_spec.shape
+    if len(shape) != 1 or not shape[0]:
+        raise ValueError(
+            f"action_spec has the shape {shape}, but policies return vectors: give it the shape "
+            f"({max(math.prod(shape), 1)},), and reshape the action in step"
+        )
     if (low, high) != (-1.0, 1.0):
         raise ValueError(
             f"action_spec has the bounds {low} and {high}, but policies act in [-1, 1]: give it the bounds -1 and 1, "
@@ -257,7 +264,7 @@ def _check_bounds(env: Env) -> None:
 
 
 def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
-    _check_bounds(env)
+    _check_actions(env)
     if config.memory and MEMORY in config.observe:
         raise ValueError(f"observe has {MEMORY!r}, the policy's own memory, which it always sees: leave it out")
     _check_names("observe", config.observe, env)

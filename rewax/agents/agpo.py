@@ -2,7 +2,8 @@
 
 At every step of a rollout, the gradient with respect to the next state is a weighted sum. ``share`` weighs the
 gradient through the rest of the simulated rollout, ``1 - share`` the gradient of the critics' value of the next state.
-If the critics are exact, the expectation does not depend on the share.
+If the critics are exact and observations tell the whole state, the expectation does not depend on the share. What is
+not observed, for instance an action that ``Latency`` delays, has no gradient in the critics' part.
 
 The gradient of the last step of a rollout flows through one step of simulation and the critics. Its variance serves as
 the variance of the critics' gradient at every step. This assumes that environments begin rollouts at random times of
@@ -30,7 +31,7 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, combined, rollout_loss
-from rewax.agents.ivw import IVWState, check_entropy_of_steps, discounts, measured_actor_update, start
+from rewax.agents.ivw import IVWState, check_measurable, discounts, measured_actor_update, start
 from rewax.agents.legal import Positive, Share
 from rewax.agents.returns import segment_ends
 from rewax.agents.rollout import rollout
@@ -57,7 +58,7 @@ class AGPOConfig(SAPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         no_memory("AGPO mixes gradients of states, of which a memory is none").check("memory", self.memory)
-        check_entropy_of_steps(self)
+        check_measurable(self)
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(
                 f"truncate_every is {self.truncate_every}, state_gradient_decay {self.state_gradient_decay}: give None "

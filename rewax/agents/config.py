@@ -14,6 +14,8 @@ from rewax.agents.legal import (
     Count,
     Decay,
     EnvLimit,
+    Features,
+    FeaturesOrNone,
     Interval,
     Legal,
     Natural,
@@ -26,6 +28,11 @@ from rewax.agents.legal import (
 )
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
+
+_START_ONLY = frozenset((
+    "action_gain", "initial_gain", "initial_horizon", "initial_log_std", "initial_temperature", "stagger_episodes",
+    "value_gain",
+))  # fmt: skip
 
 Value: TypeAlias = bool | int | float | str | tuple[int | float | str, ...] | None
 """Type of an option's value."""
@@ -67,6 +74,11 @@ class RunConfig:
     horizon: int = 32
     num_iterations: Count = 4000
     quick_compile: bool = False
+
+    @property
+    def start_only(self) -> frozenset[str]:
+        """Options that act at the start of a run alone. A resumed run goes on with what it learnt from its own."""
+        return _START_ONLY & {field.name for field in dataclasses.fields(self)}
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -162,10 +174,10 @@ class PolicyOptions:
     max_grad_norm: Positive = 0.5
     actor_widths: Widths = (512, 256)
     point_widths: Widths = (64, 128, 256)
-    point_features: Count = 64
-    vector_features: Natural = 128
+    point_features: Features = 64
+    vector_features: FeaturesOrNone = 128
     picture_widths: Widths = (16, 32, 32)
-    picture_features: Count = 64
+    picture_features: Features = 64
     memory: Natural = 0
     activation: Activation = "silu"
     initial_gain: Positive = 1.0

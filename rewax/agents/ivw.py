@@ -43,6 +43,9 @@ from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
 from rewax.types import Array, Key, Observation, PyTree
 
+_MOST_GROWTH = 10.0
+"""Largest ratio of an iteration's variance to the running mean that the running mean takes in."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class IVWConfig(SAPOConfig):
@@ -60,11 +63,15 @@ class IVWConfig(SAPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         no_memory("the weights of steps assume that a step's action is all that it does").check("memory", self.memory)
-        check_entropy_of_steps(self)
+        check_measurable(self)
 
 
-def check_entropy_of_steps(config: SAPOConfig) -> None:
-    """Raises ValueError if the loss has an entropy term that is not part of a step's return."""
+def check_measurable(config: SAPOConfig) -> None:
+    """Raises ValueError if gradients of steps have no variance, or the loss has a term that belongs to no step."""
+    if config.num_envs < 2:
+        raise ValueError(
+            f"num_envs is {config.num_envs}: give at least 2, because the variance is that over environments"
+        )
     if not config.entropy_in_return and config.entropy_in_loss:
         raise ValueError(
             "entropy_in_loss is True without entropy_in_return: give False, because the term belongs to no single step"
@@ -161,9 +168,14 @@ def actor_loss(
 
 
 def running_variance(state: IVWState, gradients: Array, valid: Array, decay: float) -> Array:
-    """The running mean updated with ``step_variance``. The first iteration replaces the initial value."""
-    kept = jnp.where(state.iteration == 0, 0.0, decay)
-    return kept * state.variance + (1.0 - kept) * step_variance(gradients, valid)
+    """The running mean updated with ``step_variance``, of which it takes at most ``_MOST_GROWTH`` times its own value.
+
+    So one iteration with a chaotic environment is forgotten in a few others. The first iteration replaces the initial
+    value, and so does the first with a variance above 0 of a step that had none.
+    """
+    new, old = step_variance(gradients, valid), state.variance
+    kept = jnp.where((state.iteration == 0) | (old == 0), 0.0, decay)
+    return kept * old + (1.0 - kept) * jnp.where(old > 0, jnp.minimum(new, _MOST_GROWTH * old), new)
 
 
 def step_variance(gradients: Array, valid: Array) -> Array:

@@ -59,7 +59,8 @@ SHARE = Legal("give a number between 0 and 1", lambda v: is_number(v) and 0.0 <=
 DECAY = Legal("give a number of at least 0 and below 1", lambda v: is_number(v) and 0.0 <= v < 1.0)
 POSITIVE = Legal("give a positive number", lambda v: is_number(v) and v > 0.0)
 NON_NEGATIVE = Legal("give a number of at least 0", lambda v: is_number(v) and v >= 0.0)
-WIDTHS = Legal("give integers of at least 1", lambda v: isinstance(v, tuple) and all(map(COUNT.holds, v)))
+WIDTHS = Legal("give integers of at least 2", lambda v: isinstance(v, tuple) and all(map(AT_LEAST_2.holds, v)))
+NONE_OR_2 = Legal("give 0, or an integer of at least 2", lambda v: AT_LEAST_2.holds(v) or (is_whole(v) and v == 0))
 INTERVAL = Legal(
     "give two numbers in ascending order",
     lambda v: isinstance(v, tuple) and len(v) == 2 and all(map(is_number, v)) and v[0] <= v[1],
@@ -73,6 +74,9 @@ Decay = Annotated[float, DECAY]
 Positive = Annotated[float, POSITIVE]
 NonNegative = Annotated[float, NON_NEGATIVE]
 Widths = Annotated[tuple[int, ...], WIDTHS]
+"""Sizes of layers. A layer of one number would be blind: its LayerNorm subtracts the mean, which is the number."""
+Features = Annotated[int, AT_LEAST_2]
+FeaturesOrNone = Annotated[int, NONE_OR_2]
 Interval = Annotated[tuple[float, float], INTERVAL]
 
 EnvLimit = Annotated[
@@ -166,7 +170,7 @@ def _tuple(parts: tuple[Any, ...]) -> Legal | None:
 
 
 __all__ = [
-    "AT_LEAST_2", "COUNT", "INTERVAL", "NATURAL", "POSITIVE", "Count", "Decay", "EnvLimit", "Interval", "Legal",
-    "Natural", "NonNegative", "Positive", "Seed", "Share", "Widths", "check_fields", "is_number", "is_whole",
-    "legal_values",
+    "AT_LEAST_2", "COUNT", "INTERVAL", "NATURAL", "POSITIVE", "Count", "Decay", "EnvLimit", "Features",
+    "FeaturesOrNone", "Interval", "Legal", "Natural", "NonNegative", "Positive", "Seed", "Share", "Widths",
+    "check_fields", "is_number", "is_whole", "legal_values",
 ]  # fmt: skip

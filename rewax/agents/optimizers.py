@@ -35,9 +35,10 @@ def clipped_adamw(
 def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_iteration: int = 1) -> optax.Schedule:
     """A learning rate that falls linearly over ``num_iterations`` and then stays at ``end``.
 
-    It is constant within an iteration of ``updates_per_iteration`` updates.
+    It is constant within an iteration of ``updates_per_iteration`` updates, and everywhere if ``end`` is above
+    ``start``.
     """
-    schedule = optax.linear_schedule(start, end, num_iterations)
+    schedule = optax.linear_schedule(start, min(start, end), num_iterations)
     return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 
 

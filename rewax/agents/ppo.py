@@ -92,6 +92,16 @@ class PPOConfig(ActorCriticConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        low, high = self.learning_rate_range
+        if self.target_kl is not None and not low <= self.actor_learning_rate <= high:
+            raise ValueError(
+                f"actor_learning_rate is {self.actor_learning_rate}, but learning_rate_range is "
+                f"{self.learning_rate_range}: give a rate between its ends, or target_kl None for a fixed rate"
+            )
+        if self.samples < 2:
+            raise ValueError(
+                "num_envs * horizon is 1: give at least 2, because the advantage of a single sample is normalised to 0"
+            )
         if self.num_critics != 1:
             raise ValueError(f"num_critics is {self.num_critics}: PPO has one critic, give 1")
         if self.samples % self.minibatches:
@@ -104,6 +114,11 @@ class PPOConfig(ActorCriticConfig):
                 f"minibatches is {self.minibatches}, which does not divide num_envs = {self.num_envs}: choose a "
                 "divisor, because a minibatch of a policy with memory is the sequences of whole environments"
             )
+
+    @property
+    def start_only(self) -> frozenset[str]:
+        """With ``target_kl`` the learning rate, too, is that of the run."""
+        return super().start_only | ({"actor_learning_rate"} if self.target_kl is not None else set())
 
 
 Networks: TypeAlias = ActorCritic[PPOConfig]

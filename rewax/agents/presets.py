@@ -187,7 +187,10 @@ def apg_full_preset(env_name: str, scale: str) -> APGConfig:
 
 
 def rpo_preset(env_name: str, scale: str) -> RPOConfig:
-    """Hyper-parameters of RPO; see ``sapo_preset``."""
+    """Hyper-parameters of RPO; see ``sapo_preset``.
+
+    ``max_env_grad_norm`` is SAPO's, too, though RPO applies it to derivatives by actions.
+    """
     return _sized(RPOConfig, sapo_preset(env_name, scale))
 
 

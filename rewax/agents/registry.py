@@ -5,6 +5,7 @@ import difflib
 import functools
 import importlib
 import keyword
+import warnings
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,7 +22,8 @@ class Algorithm(NamedTuple):
       make: ``(env, config) -> Agent``, with the keyword ``randomize`` of ``make_sapo``.
       config_type: frozen dataclass of hyper-parameters: a ``RunConfig``, or another with its fields.
       preset: ``(env_name, scale) -> config``: tuned hyper-parameters, or defaults.
-      changes: options with another default than that of ``config_type``, for ablations.
+      changes: options with another value than the default of ``config_type``, for ablations. ``make`` warns of
+        a configuration that has other values of them.
     """
 
     make: Callable[..., Agent]
@@ -54,14 +56,28 @@ def _variant(of: str, changes: Mapping[str, Value], preset: str = "") -> Callabl
         presets = importlib.import_module("rewax.agents.presets")
         changed_preset = functools.partial(_changed_preset, known.preset, tuple(changes.items()))
         changed = known._replace(preset=getattr(presets, preset) if preset else changed_preset, changes=changes)
-        return changed._replace(make=functools.partial(_make_variant, known.make, changed.defaults()))
+        return changed._replace(make=functools.partial(_make_variant, known.make, changed.defaults(), changes))
 
     return load
 
 
 def _make_variant(
-    make: Callable[..., Agent], defaults: RunConfig, env: Env, config: RunConfig | None = None, **options: object
+    make: Callable[..., Agent],
+    defaults: RunConfig,
+    changes: Mapping[str, Value],
+    env: Env,
+    config: RunConfig | None = None,
+    **options: object,
 ) -> Agent:
+    """Warns of a configuration that undoes the changes, with which it is the algorithm itself."""
+    undone = [f"{name} {getattr(config, name)!r}, not {value!r}" for name, value in changes.items()
+              if config is not None and getattr(config, name) != value]  # fmt: skip
+    if undone:
+        warnings.warn(
+            f"the configuration has {', '.join(undone)}: begin with algorithm(name).defaults() or its preset, and "
+            "change other options",
+            stacklevel=3,
+        )
     return make(env, defaults if config is None else config, **options)
 
 

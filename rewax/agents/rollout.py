@@ -166,7 +166,11 @@ def first_episode(transitions: Transition) -> Transition:
 
 def masked(tree: PyTree, valid: Array) -> PyTree:
     """The tree with zeros where ``valid`` is False. Its arrays begin with the axes of ``valid``, bool."""
-    return jax.tree.map(lambda a: jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, 0.0), tree)
+
+    def one(a: Array) -> Array:
+        return jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, jnp.zeros((), a.dtype))
+
+    return jax.tree.map(one, tree)
 
 
 def scale_gradient(tree: PyTree, factor: Array) -> PyTree:

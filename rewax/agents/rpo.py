@@ -107,7 +107,7 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
     state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
 
     state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
-    own = {"actor_loss": jnp.mean(losses, where=finite), "dropped_gradients": jnp.sum(~finite)}
+    own = {"actor_loss": _mean(losses, finite), "dropped_gradients": jnp.sum(~finite)}
     return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
@@ -208,10 +208,15 @@ def surrogate_loss(
     # Sum over time, mean over environments: the derivatives are already those of a loss per step.
     along = jnp.sum(jnp.where(counts[..., None], by_action, 0.0) * again, axis=-1)
     gain = jnp.sum(jnp.where(kept, ratio * along, 0.0)) / jnp.maximum(jnp.any(counts, axis=1).sum(), 1)
-    kl = jnp.mean(jnp.sum(before.base.kl_divergence(now.base), axis=-1), where=counts)
-    entropy = jnp.mean(jnp.sum(now.base.entropy(), axis=-1), where=counts)
-    metrics = {"kl": kl, "entropy": entropy, "kept": jnp.mean(kept, where=counts)}
+    kl = _mean(jnp.sum(before.base.kl_divergence(now.base), axis=-1), counts)
+    entropy = _mean(jnp.sum(now.base.entropy(), axis=-1), counts)
+    metrics = {"kl": kl, "entropy": entropy, "kept": _mean(kept, counts)}
     return gain + config.kl_coefficient * kl - config.entropy_coefficient * entropy, metrics
+
+
+def _mean(values: Array, counts: Array) -> Array:
+    """Mean of the values that count; 0 if none does."""
+    return jnp.sum(values, where=counts) / jnp.maximum(jnp.sum(counts), 1)
 
 
 def actor_optimizer(networks: Networks) -> optax.GradientTransformation:

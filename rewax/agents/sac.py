@@ -6,6 +6,7 @@ Differences from their code:
 - Actor and critics have separate encoders.
 - At a time limit, the next observation is the last of the episode.
 - Failed steps are masked.
+- The temperature, too, has AdamW's weight decay.
 - The critics' loss is the mean over critics. Theirs is the sum, so our gradient is half as large before it is clipped.
 """
 
@@ -39,7 +40,8 @@ from rewax.types import Array, Key, Observation, PyTree
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SACConfig(ActorCriticConfig):
-    """Hyper-parameters beyond those of ``ActorCriticConfig``; learning rates are constant.
+    """Hyper-parameters beyond those of ``ActorCriticConfig``. Learning rates are constant: ``final_learning_rate`` and
+    ``num_iterations`` have no effect on them.
 
     A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
 

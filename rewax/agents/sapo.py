@@ -47,7 +47,8 @@ class SAPOConfig(FirstOrderConfig):
     Attributes:
       initial_temperature: initial temperature alpha; constant if ``learn_temperature`` is False.
       learn_temperature: adapt alpha such that the entropy reaches its target.
-      temperature_learning_rate: constant learning rate of Adam for the logarithm of the temperature.
+      temperature_learning_rate: constant learning rate of the logarithm of the temperature. Its optimizer has the
+        weight decay of the others.
       target_entropy_scale: the target entropy is minus this times the number of action components.
       entropy_in_return, entropy_in_targets: add the entropy bonus to the actor's return, to the critics' targets.
       entropy_in_loss: if the return has no bonus, subtract its undiscounted mean over the rollout from the actor's

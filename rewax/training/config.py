@@ -5,7 +5,7 @@ from typing import Annotated
 
 from rewax.agents.legal import AT_LEAST_2, Count, Legal, Natural, NonNegative, Seed, Share, check_fields
 
-_MOST_STEPS = 2**31 - 1
+MOST_STEPS = 2**31 - 1
 _DIRECTORY = Legal("name a directory", lambda v: isinstance(v, str) and bool(v.strip()))
 
 
@@ -83,8 +83,8 @@ class TrainConfig(ReportConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.num_steps > _MOST_STEPS:
-            raise ValueError(f"num_steps is {self.num_steps}: give at most {_MOST_STEPS}, which a run can count")
+        if self.num_steps > MOST_STEPS:
+            raise ValueError(f"num_steps is {self.num_steps}: give at most {MOST_STEPS}, which a run can count")
 
     def over(self, iteration: int, env_steps: int) -> bool:
         """Whether a run ends after this many iterations and control steps."""

@@ -141,6 +141,11 @@ def test_a_state_keeps_its_types_in_double_precision(name, x64):
 
 
 def test_actions_beyond_one_are_refused(monkeypatch):
+    for shape, size in (((), 1), ((2, 3), 6), ((0,), 1)):
+        monkeypatch.setattr(toys.PointMass, "action_spec", ArraySpec(shape, -1.0, 1.0))
+        for name in ("sapo", "sac"):
+            with pytest.raises(ValueError, match=rf"policies return vectors: give it the shape \({size},\), and"):
+                make_agent(name, toys.point_mass())
     monkeypatch.setattr(toys.PointMass, "action_spec", ArraySpec((1,), -4.0, 4.0))
     for name in ("sapo", "apg", "sac"):
         with pytest.raises(ValueError, match=r"action_spec has the bounds -4.0 and 4.0, but policies act in \[-1, 1\]"):

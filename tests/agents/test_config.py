@@ -26,6 +26,9 @@ from rewax.training.config import TrainConfig
         ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
         ({"actor_learning_rate": 0.0}, "actor_learning_rate is 0.0: give a positive number"),
         ({"max_grad_norm": float("nan")}, "max_grad_norm is nan: give a positive number"),
+        ({"actor_widths": (64, 1)}, "actor_widths is \\(64, 1\\): give integers of at least 2"),
+        ({"vector_features": 1}, "vector_features is 1: give 0, or an integer of at least 2"),
+        ({"point_features": 1}, "point_features is 1: give an integer of at least 2"),
         ({"observation_clip": 0.0}, "observation_clip is 0.0: give a positive number, or None for no limit"),
         (
             {"critic_chunk": 3},

@@ -62,6 +62,25 @@ def test_a_variance_that_overflows_counts_as_large():
     assert shares[0] < 1e-10 and shares[2] == 1.0
 
 
+def test_one_chaotic_iteration_is_forgotten_soon():
+    state = make_agent("sapo_ivw", ENV, CONFIG).init(jax.random.key(0))
+    ordinary = jnp.array([1.0, -1.0])[:, None, None] * jnp.ones((2, CONFIG.horizon, 1)) / jnp.sqrt(2.0)
+    update = jax.jit(lambda state, g: ivw.running_variance(state, g, jnp.ones(2, bool), 0.9))
+    for k, scale in enumerate([1.0, 1e5, *[1.0] * 10]):
+        later = state.replace(iteration=jnp.int32(k))
+        state = state.replace(
+            variance=update(later, ordinary * jnp.array([scale, *[1.0] * (CONFIG.horizon - 1)])[:, None])
+        )
+    np.testing.assert_allclose(state.variance[1:], 1.0, rtol=1e-5)
+    assert 1.0 < state.variance[0] < 1.5
+
+
+def test_a_single_environment_has_no_variance():
+    for config in (ivw.IVWConfig, AGPOConfig):
+        with pytest.raises(ValueError, match=r"^num_envs is 1: give at least 2, because the variance"):
+            config(num_envs=1)
+
+
 @pytest.fixture(scope="module")
 def gradient():
     """A function of the variances: the gradient of one environment's loss with respect to actor parameters and actions."""

@@ -32,6 +32,11 @@ def test_learning_rates_fall_linearly_and_then_stay():
     np.testing.assert_allclose(step_sizes(clipped_adamw(5e-3, **ADAM), 14), 5e-3, rtol=1e-4)
 
 
+def test_a_learning_rate_below_the_last_one_does_not_rise():
+    constant = clipped_adamw(linear_fall(1e-3, 1e-2, 10), **ADAM)
+    np.testing.assert_allclose(step_sizes(constant, 14), 1e-3, rtol=1e-4)
+
+
 def test_a_learning_rate_can_be_set_to_that_of_another_update():
     falling = clipped_adamw(linear_fall(1e-2, 1e-3, 10, updates_per_iteration=2), **ADAM)
     params = {"a": jnp.zeros(2), "b": jnp.zeros(1)}

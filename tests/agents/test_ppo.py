@@ -145,6 +145,24 @@ def test_minibatches_divide_the_samples():
         PPOConfig(num_envs=8, horizon=8, minibatches=3)
 
 
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        (
+            {"actor_learning_rate": 0.05},
+            r"actor_learning_rate is 0.05, but learning_rate_range is \(1e-06, 0.01\): give",
+        ),
+        ({"num_envs": 1, "horizon": 1}, r"num_envs \* horizon is 1: give at least 2"),
+    ],
+)
+def test_what_would_not_train_is_refused(changes, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}"):
+        PPOConfig(**changes)
+    assert PPOConfig(actor_learning_rate=0.05, target_kl=None).start_only == PPOConfig().start_only - {
+        "actor_learning_rate"
+    }
+
+
 def test_every_sample_is_in_one_minibatch_and_keeps_its_fields_together():
     batch = {"a": jnp.arange(12.0).reshape(3, 4), "b": 2.0 * jnp.arange(12.0).reshape(3, 4)[..., None]}
     parts = shuffled(jax.random.key(0), batch, 4)

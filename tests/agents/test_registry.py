@@ -63,6 +63,14 @@ def test_an_ablation_without_a_configuration_has_its_changes():
     assert make_agent("apg_full", toys.point_mass()).config.horizon == 0
 
 
+def test_a_configuration_that_undoes_an_ablation_is_told():
+    env, full = toys.point_mass(), algorithm("sapo").config_type(num_envs=2, horizon=4)
+    with pytest.warns(UserWarning, match="the configuration has entropy_in_return True, not False, .*begin with algor"):
+        make_agent("shac2", env, full)
+    with pytest.warns(UserWarning, match="the configuration has horizon 4, not 0: begin with"):
+        algorithm("apg_full").make(env, algorithm("apg").config_type(num_envs=2, horizon=4))
+
+
 def test_an_algorithm_of_ones_own(monkeypatch):
     monkeypatch.setattr(registry, "_ALGORITHMS", dict(registry._ALGORITHMS))
     mine = Algorithm(lambda env, config: toys.make_toy(env), dict, lambda name, scale: {})

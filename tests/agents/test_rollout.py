@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.agents.rollout import first_episode, rollout
+from rewax.agents.rollout import first_episode, masked, rollout
 from rewax.envs.randomized import Randomized
 from rewax.envs.wrappers import AutoReset
 
@@ -109,6 +109,13 @@ def test_gradient_stops_at_the_end_of_an_episode(state, differentiate):
     slope = np.asarray(jax.jit(jax.jacobian(rewards))(state.physics))[:, 0]
     np.testing.assert_allclose(slope[:LENGTH], -2 * state.physics[0] * 0.8 ** (2 * np.arange(1, LENGTH + 1)), rtol=1e-5)
     np.testing.assert_array_equal(slope[LENGTH:], 0.0)
+
+
+def test_masked_arrays_keep_their_types():
+    tree = {"f": jnp.ones((2, 3)), "u": jnp.ones((2, 3, 4), jnp.uint8), "b": jnp.ones(2, bool)}
+    found = masked(tree, jnp.array([True, False]))
+    assert jax.tree.map(lambda a: a.dtype, found) == jax.tree.map(lambda a: a.dtype, tree)
+    assert all(a[0].all() and not a[1].any() for a in found.values())
 
 
 def test_needs_automatic_resets(state):

@@ -94,6 +94,14 @@ def test_an_environment_that_failed_has_no_part(start, rolled):
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
 
 
+def test_where_every_environment_failed_metrics_are_numbers_and_nothing_is_learnt(start, rolled):
+    _, rollouts, by_action = rolled
+    none = jnp.zeros(CONFIG.num_envs, bool)
+    new, metrics = rpo.actor_epochs(NETWORKS, start, rollouts, by_action, none)
+    assert all(float(metrics[name]) == 0.0 for name in ("kl", "entropy", "kept", "actor_grad_norm"))
+    chex.assert_trees_all_close(new.actor_params, start.actor_params, rtol=1e-3)
+
+
 def test_the_range_holds_one():
     with pytest.raises(
         ValueError, match=r"lowest_ratio is 1\.5 and highest_ratio 2\.0: give numbers below and above 1"

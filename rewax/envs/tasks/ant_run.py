@@ -1,6 +1,7 @@
-"""AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it). Ant: DiffRL's own ant.
+"""AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it).
 
-Scale ``paper`` has the numbers of the reference. Scale ``small`` has shorter episodes and, in AntRun, longer substeps.
+Ant is AntRun with DiffRL's contacts and armature. Scale ``paper`` has the numbers of the reference. Scale ``small`` has
+shorter episodes and, in AntRun, longer substeps.
 """
 
 import jax.numpy as jnp

@@ -10,9 +10,10 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.base import Agent
+from rewax.agents.config import steps_in
 from rewax.envs.base import Env
 from rewax.envs.leaves import EnvLeaves
-from rewax.training.config import TrainConfig
+from rewax.training.config import MOST_STEPS, TrainConfig
 from rewax.training.loop.progress import say
 from rewax.training.loop.warm_start import warm_started
 from rewax.training.storage import checkpoint
@@ -46,6 +47,7 @@ def first_state(
       ValueError: the directory holds a run and ``config.resume`` is off, or a run that this configuration cannot
         resume; or ``config.init_from`` does not fit, or is not that of the run that is resumed.
     """
+    check_count(agent.config, env, config)
     if not config.resume:
         metrics = run_dir / "metrics.csv"
         if checkpoint.latest_step(run_dir) is not None:
@@ -93,7 +95,9 @@ def first_state(
     except checkpoint.OtherStructure as error:
         raise _other_options(run_dir, differences, error) from None
     for name, old, new in differences:
-        if name == "train.seed" or not name.startswith("train."):  # options of reports may change
+        if name in {f"{agent.name}.{option}" for option in getattr(agent.config, "start_only", ())}:
+            say(console, f"note: {name} {new} has no effect on a run that began with {old}: it goes on from there")
+        elif name == "train.seed" or not name.startswith("train."):  # options of reports may change
             say(console, f"note: resuming with {name} {new}, it was {old}")
     if others := _other_parameters(train_state, env):
         say(
@@ -103,6 +107,18 @@ def first_state(
         )
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def check_count(agent_config: Any, env: Env, config: TrainConfig) -> None:
+    """Raises ValueError if a run has more control steps than it can count."""
+    if config.num_steps or not {"num_envs", "horizon"} <= set(dir(agent_config)):  # num_steps has a limit of its own
+        return
+    per_iteration = agent_config.num_envs * steps_in(agent_config, env)
+    if config.num_iterations * per_iteration > MOST_STEPS:
+        raise ValueError(
+            f"num_iterations is {config.num_iterations} with {per_iteration} control steps each at most: give at most "
+            f"{MOST_STEPS // per_iteration}, because a run counts up to {MOST_STEPS} steps"
+        )
 
 
 def first_run(config: Mapping[str, Any]) -> str:

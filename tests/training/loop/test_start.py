@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import shutil
+from typing import ClassVar
 
 import jax
 import pytest
@@ -85,6 +86,28 @@ def test_resuming_another_environment_is_refused_and_changes_are_told(tmp_path):
     )
     assert "note: resuming with env_kwargs.num_substeps 8, it was its default" in text
     assert f"note: resuming with jax {jax.__version__}, it was 0.9.0" in text
+
+
+@dataclasses.dataclass(frozen=True)
+class StartOptions(Options):
+    """Of which one acts at the start alone."""
+
+    num_envs: int = 4
+    horizon: int = 3
+    start_only: ClassVar[frozenset[str]] = frozenset({"rate"})
+
+
+def test_options_of_the_start_have_no_effect_on_a_resumed_run(tmp_path):
+    run(tmp_path, options=StartOptions())
+    text = run(tmp_path, options=StartOptions(rate=0.2), resume=True, num_iterations=2)
+    assert "note: toy.rate 0.2 has no effect on a run that began with 0.1: it goes on from there" in text
+    assert "resuming with" not in text
+
+
+def test_a_run_with_more_steps_than_it_can_count_is_refused(tmp_path):
+    most = (2**31 - 1) // 12
+    with pytest.raises(ValueError, match=rf"num_iterations is {most + 1} with 12 control .*: give at most {most}, be"):
+        run(tmp_path, options=StartOptions(), num_iterations=most + 1)
 
 
 def test_resuming_with_another_network_names_the_options(tmp_path):
