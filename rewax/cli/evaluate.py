@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from rewax.agents.legal import Count, Natural, Seed
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, import_modules, one_of, parse
 from rewax.cli.train import quiet
 from rewax.whole_files import replacing
 
@@ -104,9 +104,7 @@ def run(argv: Sequence[str]) -> int:
 
 def _checked(options: Options) -> str:
     """Check the options that need no loaded run; returns the directory or task to evaluate."""
-    where = options.run or options.run_dir
-    if where is None or (options.run and options.run_dir):
-        raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
+    where = one_of(options.run, options.run_dir, "rewax eval needs one run directory or task: rewax eval HandFlip")
     if options.baselines and options.settings:
         raise ValueError("--baselines evaluates without --set: leave one of them out")
     if any(pixels < 2 or pixels % 2 for pixels in options.video_size):

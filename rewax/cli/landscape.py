@@ -4,8 +4,10 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+import tyro
+
 from rewax.agents.legal import Count, Natural, Positive, Seed
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, import_modules, one_of, parse
 from rewax.cli.train import quiet
 from rewax.whole_files import check_can_write, replacing
 
@@ -15,7 +17,8 @@ class Options:
     """Options.
 
     Attributes:
-      run_dir: directory of the run.
+      run: directory of the run.
+      run_dir: the same, as an option.
       imports: module or .py file that registers environments or algorithms.
       size: number of points along either direction, odd.
       span: largest offset, in units of the norm of the parameters.
@@ -25,7 +28,8 @@ class Options:
       out: picture to write; by default landscape.png in the run's directory. The numbers go to an .npz file beside it.
     """
 
-    run_dir: str
+    run: tyro.conf.Positional[str | None] = None
+    run_dir: str | None = None
     imports: Imports = ()
     size: Count = 21
     span: Positive = 1.0
@@ -51,12 +55,14 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax landscape", description="Draw the return around a trained policy.")
-    out = Path(options.out or Path(options.run_dir) / "landscape.png")
+    needed = "rewax landscape needs one run directory: rewax landscape runs/RollingFlat-small-0"
+    run_dir = one_of(options.run, options.run_dir, needed)
+    out = Path(options.out or Path(run_dir) / "landscape.png")
     if options.out and (out.suffix != ".png" or not out.parent.is_dir()):
         raise ValueError(f"out is {out}: give a .png file in a folder that exists")
     enable_compilation_cache()
     import_modules(options.imports)
-    saved = load_run(options.run_dir, step=options.step)
+    saved = load_run(run_dir, step=options.step)
     check_can_write(out)
     found = landscape(
         saved.env,

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Sequence
 
 _SUMMARIES = {
     "train": "train a policy on an environment",
-    "eval": "evaluate what a run has learnt",
+    "eval": "evaluate a trained policy",
     "bench": "compare algorithms on tasks, one table",
     "tune": "search for hyper-parameters",
-    "play": "show what runs have learnt, in a browser",
+    "play": "show trained policies in a browser",
     "plot": "compare learning curves of runs",
-    "record": "record what a camera sees of an environment",
+    "record": "record a body with a simulated camera",
     "identify": "find physical parameters from a record",
     "export": "write a trained policy for programs without rewax",
     "landscape": "draw the returns around a trained policy",

@@ -25,6 +25,18 @@ Imports: TypeAlias = tyro.conf.UseAppendAction[
 """Field of the options ``--import``, which may be repeated."""
 
 
+def one_of(run: str | None, run_dir: str | None, needed: str) -> str:
+    """The run that is given as a word or as the option ``--run-dir``.
+
+    Raises:
+      ValueError: neither or both are given; ``needed`` is the sentence.
+    """
+    where = run or run_dir
+    if where is None or (run and run_dir):
+        raise ValueError(needed)
+    return where
+
+
 def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str) -> T:
     """Fill a dataclass from arguments.
 

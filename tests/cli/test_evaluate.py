@@ -120,8 +120,11 @@ def test_a_landscape_is_computed_only_if_it_can_be_written(run, monkeypatch, cap
 
     monkeypatch.setattr(landscape, "landscape", lambda *args, **kwargs: pytest.fail("computed first"))
     monkeypatch.setattr(Path, "touch", full)
-    assert main(["landscape", f"--run-dir={run}"]) == 1
-    assert "No space left on device" in capsys.readouterr().err
+    for where in ([f"--run-dir={run}"], [str(run)]):
+        assert main(["landscape", *where]) == 1
+        assert "No space left on device" in capsys.readouterr().err
+    assert main(["landscape"]) == 2
+    assert "rewax landscape needs one run directory" in capsys.readouterr().err
 
 
 def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, capsys):
