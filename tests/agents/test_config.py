@@ -131,7 +131,7 @@ def test_numpys_numbers_become_pythons():
         ({"adam_b1": -3}, "adam_b1 is -3: give a number of at least 0 and below 1"),
         ({"quick_compile": -3}, "quick_compile is -3: give True or False"),
         ({"num_envs": True}, "num_envs is True: give an integer of at least 1"),
-        ({"actor_widths": ["a"]}, r"actor_widths is \('a',\): give integers of at least 1"),
+        ({"actor_widths": ["a"]}, r"actor_widths is \('a',\): give integers of at least 2"),
         ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\): give two numbers in ascending order"),
         ({"initial_log_std": float("nan")}, "initial_log_std is nan: give a number"),
         ({"critic_chunk": "a"}, "critic_chunk is 'a': give an integer, or None"),
