@@ -15,7 +15,7 @@ from rewax.agents.normalization import RunningStatistics, init_statistics, updat
 from rewax.agents.rollout import Transition
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
-from rewax.envs.memory import MEMORY, remembering
+from rewax.envs.memory import MEMORY, Remembering, check_no_memory
 from rewax.envs.randomized import Randomize, Randomized, check_hook
 from rewax.envs.wrappers import AutoReset, Vmap, is_or_contains
 from rewax.types import Array, Key, Observation, PyTree
@@ -190,7 +190,8 @@ def partition(env: Env, num_envs: int, randomize: Randomize | None = None, *, me
         check_hook(EnvLeaves.of(env).first(), randomize)
         one = Randomized(env=one, randomize=randomize)
     if memory:
-        one = remembering(one, memory)
+        check_no_memory(EnvLeaves.of(env).first())
+        one = Remembering(env=one, size=memory)
     if randomize is not None or memory:
         env = Vmap(env=one, env_axis=0) if batched else one
     leaves = EnvLeaves.of(env)

@@ -40,7 +40,7 @@ def check_colliders(old: Any, new: Any) -> None:
         for part, geom in _changed_geoms(model.parameters, changed):
             for i in _copies(colliders, model, geom):
                 one, other = (getattr(of[i], _PARTS[part]) for of in (colliders, _colliders(after)))
-                if jax.tree.leaves(one)[0] is jax.tree.leaves(other)[0]:
+                if any(a is b for a, b in zip(jax.tree.leaves(one)[:1], jax.tree.leaves(other)[:1], strict=True)):
                     raise ValueError(
                         f"{name}.parameters[{part}] of geom {geom} is changed, but not its copy "
                         f"scene.colliders[{i}].{_PARTS[part]}, which touches the soft body: change both, or make the "

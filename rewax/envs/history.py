@@ -7,7 +7,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, observed_names
+from rewax.envs.wrappers import _Wrapper, check_inside, forwarded, observed_names
 from rewax.types import Array, Key, Observation
 
 
@@ -62,9 +62,7 @@ class History(struct.Replaceable, _Wrapper):
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
-        if name.startswith("_") or name in NOT_FORWARDED:
-            raise AttributeError(name)
-        return getattr(self.env, name)
+        return forwarded(self, name)
 
     def _holds(self, name: str) -> bool:
         return self.of is None or name in self.of

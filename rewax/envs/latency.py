@@ -9,7 +9,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
 from rewax.envs.kit.checks import check_action
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside, observed_names
+from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, forwarded, observed_names
 from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -109,9 +109,7 @@ class Latency(struct.Replaceable, _Wrapper):
 
     def __getattr__(self, name: str) -> Any:
         """All other attributes are those of the environment, also those that tasks have beyond the protocol."""
-        if name.startswith("_") or name in NOT_FORWARDED:
-            raise AttributeError(name)
-        return getattr(self.env, name)
+        return forwarded(self, name)
 
 
 def _checked(name: str, steps: Any) -> Steps:

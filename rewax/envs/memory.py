@@ -67,17 +67,22 @@ class Remembering(struct.Replaceable, _Wrapper):
         return with_observations(new, {MEMORY: memory}, state.obs, leaf=MEMORY_LEAF)
 
 
+def check_no_memory(env: Env) -> None:
+    """Raises ValueError if the environment has an observation with the name of the memory already."""
+    if MEMORY in env.observation_spec:
+        raise ValueError(
+            f"the environment has an observation named {MEMORY!r}, the name of a policy's memory: rename it, or give "
+            "memory=0"
+        )
+
+
 def remembering(env: Env, size: int, start: Array | None = None) -> Remembering:
     """The environment with a memory of ``size`` components that begins as ``start``, by default with zeros.
 
     Raises:
       ValueError: it has an observation of that name already.
     """
-    if MEMORY in env.observation_spec:
-        raise ValueError(
-            f"the environment has an observation named {MEMORY!r}, the name of a policy's memory: rename it, or give "
-            "memory=0"
-        )
+    check_no_memory(env)
     return Remembering(env=env, size=size, start=start)
 
 
@@ -115,6 +120,6 @@ def with_memory_of(policy: Callable[..., Any], function: Callable[..., Any]) -> 
 
 
 __all__ = [
-    "MEMORY", "Remembered", "Remembering", "action_of", "initial_memory", "remembered", "remembering", "stage",
-    "with_memory_of",
+    "MEMORY", "Remembered", "Remembering", "action_of", "check_no_memory", "initial_memory", "remembered",
+    "remembering", "stage", "with_memory_of",
 ]  # fmt: skip

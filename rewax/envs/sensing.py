@@ -10,7 +10,7 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.envs.base import SENSOR_LEAF, ArraySpec, State, with_first_observations, with_observations
 from rewax.envs.randomized import innermost
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_inside, count_inside
+from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, forwarded
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
@@ -79,11 +79,16 @@ class Sensing(struct.Replaceable, _Wrapper):
                 raise ValueError(
                     f"sensors[{name!r}] is {sensor!r}: give a Camera, or another object with see(world, key)"
                 )
-        if self.up is None:
-            if isinstance(bare.up, Tracer):
-                raise ValueError("up follows from traced numbers of the environment: give it, up=(0.0, 1.0, 0.0)")
-            object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
-        up = np.asarray(self.up)
+            if any(leaf is sensor for leaf in jax.tree.leaves(sensor)):
+                raise ValueError(
+                    f"sensors[{name!r}] is of the class {type(sensor).__name__}, which is no pytree: decorate it with "
+                    "rewax.struct.dataclass"
+                )
+        given = bare.up if self.up is None else self.up
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
+            raise ValueError("up follows from traced numbers of the environment: give it, up=(0.0, 1.0, 0.0)")
+        up = np.asarray(given, float)
+        object.__setattr__(self, "up", tuple(up.ravel().tolist()))
         if up.shape != (3,) or not abs(np.linalg.norm(up) - 1.0) < 1e-3:
             raise ValueError(f"up is {self.up}: give a unit vector against gravity, (0.0, 1.0, 0.0)")
 
@@ -106,9 +111,7 @@ class Sensing(struct.Replaceable, _Wrapper):
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
-        if name.startswith("_") or name in (*NOT_FORWARDED, "sensors"):
-            raise AttributeError(name)
-        return getattr(self.env, name)
+        return forwarded(self, name, "sensors")
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:

@@ -16,6 +16,23 @@ NOT_FORWARDED = ("env", "made_by", "env_axis")
 and what is around a batch is none."""
 
 
+def forwarded(wrapper: Any, name: str, *own: str) -> Any:
+    """An attribute of the environment inside a wrapper, for the wrapper's ``__getattr__``.
+
+    Python calls ``__getattr__`` also if a property of the wrapper raised AttributeError: it is then raised again.
+
+    Args:
+      wrapper: has the field ``env``.
+      name: of the attribute.
+      own: names besides ``NOT_FORWARDED`` that the environment does not stand in for.
+    """
+    if hasattr(type(wrapper), name):
+        return object.__getattribute__(wrapper, name)
+    if name.startswith("_") or name in (*NOT_FORWARDED, *own):
+        raise AttributeError(name)
+    return getattr(wrapper.env, name)
+
+
 def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
     """``jnp.where`` over trees that may hold PRNG keys. Gradient: flows to the chosen tree only.
 

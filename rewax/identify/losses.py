@@ -100,6 +100,11 @@ def chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0,
 
 def matched(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0) -> Array:
     """Mean loss of the distances between points of one index, shape (): for tracked markers. Arguments as above."""
+    if len(particles) < len(cloud):
+        raise ValueError(
+            f"there are {len(cloud)} seen points and {len(particles)} particles: give no more points than particles, "
+            "because each is compared with the particle of its index"
+        )
     gap = jnp.sqrt(((particles[: len(cloud)] - _seen(cloud, mask)) ** 2).sum(-1) + _TINY)
     return trimmed_mean(huber(gap, delta), mask)
 
@@ -160,9 +165,12 @@ def depth_picture(camera: Camera, world: World, seen: Array, *, delta: Scalar = 
 
 
 def over_time(losses: Array, weights: Array) -> Array:
-    """Weighted mean of the losses of frames, shape (num_frames,) each; 0 if all weights are."""
+    """Weighted mean of the losses of frames, shape (num_frames,) each; 0 if all weights are.
+
+    A frame with weight 0 has no part in it, even if its loss is not finite.
+    """
     total = weights.sum()
-    return (losses * weights).sum() / jnp.where(total > 0, total, 1.0)
+    return (jnp.where(weights > 0, losses, 0.0) * weights).sum() / jnp.where(total > 0, total, 1.0)
 
 
 __all__ = [

@@ -36,6 +36,7 @@ def read_folder(
         may be numbered, not named by microseconds), the environment's joints cannot follow the
         path, or ``check_record`` finds a fault.
     """
+    _check_joints(env)
     files, times = _files_and_times(Path(folder))
     if len(times) > 1 and times[-1] < float(env.control_dt):
         raise ValueError(
@@ -51,6 +52,16 @@ def read_folder(
     )  # fmt: skip
     check_record(record)
     return record
+
+
+def _check_joints(env: Any) -> None:
+    """Raises ValueError unless the environment has joints that actions move along a path."""
+    missing = [name for name in ("joint_start", "joint_step", "joint_lower", "joint_upper") if not hasattr(env, name)]
+    if missing:
+        raise ValueError(
+            f"{type(env).__name__} has no {missing[0]}: give a task whose actions move the joints of a tool by "
+            "joint_step, such as RollingFlat, without Randomized around it"
+        )
 
 
 def tool_joints(path: str | Path, env: Any, end: float) -> np.ndarray:
@@ -77,6 +88,7 @@ def actions_of(env: Any, joint_q: np.ndarray) -> np.ndarray:
       ValueError: the path does not begin at ``joint_start``, leaves ``joint_lower`` and ``joint_upper``, or is faster
         than ``joint_step`` allows; or the joints follow set points.
     """
+    _check_joints(env)
     bare = getattr(env, "unwrapped", env)
     if isinstance(bare, Following):
         raise ValueError(

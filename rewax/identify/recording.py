@@ -108,7 +108,9 @@ def record_states(
             "with body=None"
         )
     names = env.world(states[0], up).names
-    body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *_robot(env))]
+    # with_robot renames a body of the robot that has a name of the world.
+    robot = [f"{name}_2" if f"{name}_2" in names else name for name in _robot(env)]
+    body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *robot)]
     frames = list(range(0, len(actions) + 1, every))
     clouds, masks = [], []
     for n in frames:

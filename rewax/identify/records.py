@@ -105,7 +105,7 @@ def load(path: str | Path) -> Record:
         if name in known:
             try:
                 known[name] = kind(known[name][()])
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise ValueError(f"{name} of the record is {known[name]!r}: give one {kind.__name__}") from None
     record = Record(**known)
     check_record(record)

@@ -127,7 +127,8 @@ class Identified:
         return {
             "format": FORMAT, "made_by": self.made_by or recipe(self.env), "values": self.values,
             "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
-            "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
+            "covariance": self.covariance.tolist(), "covariance_of": list(self.space.labels),
+            "undetermined": self.undetermined, "remarks": self.remarks,
             "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,
             "starts": [self._named(s) for s in self.starts],
             "costs": [float(c) if np.isfinite(c) else None for c in self.costs], "seconds": round(self.seconds, 2),

@@ -83,6 +83,9 @@ class Camera(struct.Replaceable):
                     f"Camera.rotation is {rotation.tolist()}, which is no rotation: give orthonormal columns, to the "
                     "right, up and backwards, or use Camera.look_at"
                 )
+        for name in ("height", "width", "body"):
+            if isinstance(getattr(self, name), np.integer):
+                object.__setattr__(self, name, int(getattr(self, name)))
         for name in ("height", "width"):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or size < 1:

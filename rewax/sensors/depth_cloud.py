@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.sensors.camera import Camera
@@ -27,10 +28,12 @@ class DepthCloud(struct.Replaceable):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        if isinstance(self.num_points, np.integer):
+            object.__setattr__(self, "num_points", int(self.num_points))
         if isinstance(self.num_points, bool) or not isinstance(self.num_points, int) or self.num_points < 1:
             raise ValueError(f"num_points of the cloud is {self.num_points!r}: give an integer, at least 1")
-        if isinstance(self.of, str):
-            object.__setattr__(self, "of", (self.of,))
+        if self.of is not None:
+            object.__setattr__(self, "of", (self.of,) if isinstance(self.of, str) else tuple(self.of))
 
     def see(self, world: World, key: Key) -> Array:
         """Points [m], shape (num_points, 3).

@@ -23,8 +23,8 @@ class Labels(struct.Replaceable):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
-        if isinstance(self.of, str):
-            object.__setattr__(self, "of", (self.of,))
+        if self.of is not None:
+            object.__setattr__(self, "of", (self.of,) if isinstance(self.of, str) else tuple(self.of))
 
     @property
     def bounds(self) -> tuple[float, float]:

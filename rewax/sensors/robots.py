@@ -38,7 +38,8 @@ def with_robot(world: World, model: RigidModel, state: RigidState) -> World:
 def see_robot(model: RigidModel, state: RigidState) -> tuple[tuple[Solid, ...], tuple[Triangles, ...]]:
     """The geoms that pictures show; each has the name of its body (``world`` for what is fixed to the world).
 
-    Meshes are seen as their triangles. Height fields and geoms of the type ``sdf`` are not seen.
+    Meshes are seen as their triangles, planes without an end, whatever their size. Height fields and geoms of the type
+    ``sdf`` are not seen.
 
     Args:
       model: the bodies.

@@ -1,10 +1,12 @@
 """Pictures by MuJoCo's renderer in a process of its own, so that a crashing graphics driver ends only that process."""
 
+import contextlib
 import functools
 import os
 import pickle
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from typing import IO, NamedTuple
 
@@ -70,33 +72,35 @@ def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, 
     Raises:
       OSError: the drawing process failed; the message has the last line of its error output.
     """
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        _command("draw"), env=_environment(backend), stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
-    )
-    assert process.stdin is not None and process.stdout is not None and process.stderr is not None
-    try:
+    with tempfile.TemporaryFile() as errors:  # a pipe that nobody reads would fill up, and the process would wait
+        process = subprocess.Popen(
+            _command("draw"), env=_environment(backend), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
+            start_new_session=True,
+        )  # fmt: skip
+        assert process.stdin is not None and process.stdout is not None
         try:
-            pickle.dump((recording, size, color_by), process.stdin)
-            process.stdin.close()
-        except OSError:  # it died before it had read everything; its error output follows
-            pass
-        for _ in range(recording.num_frames):
-            yield _read_picture(process.stdout, process.stderr, size)
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-        process.stderr.close()
+            try:
+                pickle.dump((recording, size, color_by), process.stdin)
+                process.stdin.close()
+            except OSError:  # it died before it had read everything; its error output follows
+                pass
+            for _ in range(recording.num_frames):
+                content = process.stdout.read(size[0] * size[1] * 3)
+                if len(content) < size[0] * size[1] * 3:
+                    raise OSError(f"the process that draws with OpenGL ended early; it said: {_said(process, errors)}")
+                yield np.frombuffer(content, np.uint8).reshape(*size, 3)
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()
 
 
-def _read_picture(out: IO[bytes], error: IO[bytes], size: tuple[int, int]) -> np.ndarray:
-    count = size[0] * size[1] * 3
-    content = out.read(count)
-    if len(content) < count:
-        lines = error.read().decode(errors="replace").strip().splitlines() or ["nothing"]
-        raise OSError(f"the process that draws with OpenGL ended early; it said: {lines[-1]}")
-    return np.frombuffer(content, np.uint8).reshape(*size, 3)
+def _said(process: subprocess.Popen[bytes], errors: IO[bytes]) -> str:
+    """The last line of a process that has closed its output."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_PATIENCE)
+    errors.seek(0)
+    return (errors.read().decode(errors="replace").strip().splitlines() or ["nothing"])[-1]
 
 
 def _command(what: str) -> list[str]:

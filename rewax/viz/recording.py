@@ -148,7 +148,9 @@ class Recording:
 
     @property
     def totals(self) -> np.ndarray:
-        """Sum of the rewards up to each frame, shape (num_frames,)."""
+        """Sum of the rewards up to each frame, shape (num_frames,); zeros without rewards."""
+        if not len(self.rewards):
+            return np.zeros(self.num_frames)
         return np.concatenate([[0.0], np.cumsum(self.rewards)])[np.asarray(self.steps)]
 
     def shapes(self, frame: int) -> Sequence[Drawing]:

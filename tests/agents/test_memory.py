@@ -10,9 +10,11 @@ import pytest
 import toys
 from agent_cases import assert_same_bits
 
+import rewax
 from rewax.agents import ppo, shac
 from rewax.agents.actor_critic import make_actor_critic
 from rewax.agents.registry import algorithm
+from rewax.agents.run_state import partition
 from rewax.agents.sapo import make_sapo
 from rewax.envs import AutoReset
 from rewax.envs.leaves import EnvLeaves
@@ -149,6 +151,13 @@ def test_each_environment_of_a_batch_may_have_its_own_parameters_and_draw_them()
     state = jax.eval_shape(known.train_step, jax.eval_shape(known.init, jax.random.key(0)))[0]
     assert state.environments.state.obs[MEMORY].shape == (4, SIZE)
     assert state.environments.state.drawn[".gain"].shape == (4,)
+
+
+def test_a_batch_of_tasks_whose_reset_draws_arrays_may_have_a_memory():
+    """The observations of a task are those of its reset, which needs one environment, not a batch."""
+    task = rewax.make("RollingFlat", scale="small")
+    leaves = partition(rewax.envs.stack([task] * 2), 2, memory=SIZE)
+    assert leaves.first().observation_spec[MEMORY].shape == (SIZE,)
 
 
 def test_the_policy_needs_its_memory_and_evaluation_hands_it_on():

@@ -16,7 +16,7 @@ from rewax.envs.randomize import Constant, hook
 from rewax.envs.randomized import Randomized
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset
-from rewax.sensors import Camera, DepthNoise
+from rewax.sensors import Camera, DepthCloud, DepthNoise, Labels
 from rewax.status import Status
 from rewax.testing import check_env
 
@@ -125,6 +125,33 @@ def test_bad_sensors_are_refused(bare):
         Sensing(env=bare, sensors={"depth": CAMERA}, up=(0.0, 2.0, 0.0))
     with pytest.raises(ValueError, match="has no world"):
         Sensing(env=object(), sensors={"depth": CAMERA})
+    with pytest.raises(ValueError, match=r"sensors\['x'\] is of the class Plain, which is no pytree: decorate it"):
+        Sensing(env=bare, sensors={"x": Plain()})
+
+
+class Plain:
+    def see(self, world, key):
+        raise AttributeError("the sensor's own mistake")
+
+
+@struct.dataclass
+class Mistaken(struct.Replaceable, Plain):
+    """A sensor that fails."""
+
+
+def test_an_error_of_a_sensor_is_not_hidden(bare):
+    with pytest.raises(AttributeError, match="the sensor's own mistake"):
+        _ = Sensing(env=bare, sensors={"x": Mistaken()}).observation_spec
+
+
+def test_lists_arrays_and_numpys_numbers_are_as_good_as_tuples_and_numbers(bare):
+    camera = CAMERA.replace(height=np.int64(8), width=np.int64(8))
+    sensors = {
+        "cloud": DepthCloud(camera=camera, num_points=np.int64(4), of=["ball"]),
+        "mask": Labels(camera=camera, of=["ball"]),
+    }
+    env = Sensing(env=bare, sensors=sensors, up=np.array([0.0, 1.0, 0.0]))
+    assert env.up == (0.0, 1.0, 0.0) and hash(jax.tree.structure(env)) == hash(jax.tree.structure(env.replace()))
 
 
 @struct.dataclass

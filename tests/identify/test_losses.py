@@ -105,6 +105,14 @@ def test_no_points_at_all_cost_nothing():
 def test_frames_are_weighted():
     assert float(losses.over_time(jnp.asarray([1.0, 3.0, 100.0]), jnp.asarray([1.0, 3.0, 0.0]))) == 2.5
     assert float(losses.over_time(jnp.asarray([1.0]), jnp.asarray([0.0]))) == 0.0
+    bad = jnp.asarray([1.0, jnp.nan])
+    value, slope = jax.value_and_grad(losses.over_time)(bad, jnp.asarray([2.0, 0.0]))
+    assert float(value) == 1.0 and slope.tolist() == [1.0, 0.0]
+
+
+def test_more_markers_than_particles_are_refused():
+    with pytest.raises(ValueError, match="there are 3 seen points and 1 particles: give no more points than particles"):
+        losses.matched(jnp.zeros((1, 3)), jnp.ones((3, 3)), jnp.ones(3, bool))
 
 
 def test_depth_knows_how_far_a_ball_has_moved():

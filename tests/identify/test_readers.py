@@ -104,3 +104,7 @@ def test_actions_follow_the_path():
         actions_of(still, path)
     with pytest.raises(ValueError, match="the joints of WhipRope follow set points, so no actions"):
         actions_of(rewax.make("WhipRope", scale="small"), path)
+    with pytest.raises(
+        ValueError, match="Hopper has no joint_start: give a task whose actions move the joints of a tool"
+    ):
+        actions_of(rewax.make("Hopper", scale="small"), path)

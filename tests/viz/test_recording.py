@@ -81,7 +81,8 @@ def test_arrays_that_do_not_fit_are_refused(options, said):
 
 
 def test_rewards_may_be_missing():
-    assert recordings.cloud(3, rewards=np.zeros(0), status=np.zeros(0, int)).num_frames == 3
+    without = recordings.cloud(3, rewards=np.zeros(0), status=np.zeros(0, int))
+    assert without.num_frames == 3 and without.totals.tolist() == [0.0] * 3
 
 
 def test_what_cannot_be_shown_is_refused():
