@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rewax.envs.leaves import strongly_typed
 from rewax.xla_options import unoptimised
 
 _QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
@@ -98,7 +99,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
-_MANY_MAPS, _MUCH_MEMORY = 20_000, 3e9
+_MANY_MAPS, _MUCH_MEMORY = 30_000, 4.5e9
 """Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
 
 
@@ -113,7 +114,7 @@ def few_programs() -> Iterator[None]:
     if resident > _MUCH_MEMORY or (process / "maps").read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
         gc.collect()
-        if hasattr(_C_LIBRARY, "malloc_trim"):  # glibc keeps freed memory, and the worker would grow to 4.6 GB
+        if hasattr(_C_LIBRARY, "malloc_trim"):  # glibc keeps freed memory, and the worker would grow by as much
             _C_LIBRARY.malloc_trim(0)
 
 
@@ -220,6 +221,7 @@ def agree_along(derivatives, inner):
 
     def check(f, args, directions, *, step, exact, bar, least=1e-6, fourth=False):
         whole = derivatives(lambda args: f(*args))
+        args, directions = jax.tree.map(strongly_typed, (args, directions))  # else each form is a program of its own
         for name, along in directions.items():
 
             def apart(size, along=along):

@@ -51,7 +51,7 @@ def of_arrays(env):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_step_and_its_gradient_run_in_another_process(task, tmp_path):
+def test_a_step_and_its_gradient_run_in_another_process(task, tmp_path, sharing_programs):
     function, arrays = of_arrays(make(task, scale="small"))
     exported = jax.export.export(jax.jit(function))(*arrays)
     assert "rewax_" not in exported.mlir_module()
@@ -60,7 +60,7 @@ def test_a_step_and_its_gradient_run_in_another_process(task, tmp_path):
     numbers |= {f"out{k}": np.asarray(a) for k, a in enumerate(jax.tree.leaves(jax.jit(function)(*arrays)))}
     np.savez(tmp_path / "numbers.npz", **numbers)
     command = [sys.executable, "-c", RUN_AGAIN, str(tmp_path / "step"), str(tmp_path / "numbers.npz")]
-    environment = toys.subprocess_environment() | {"REWAX_NATIVE": "0"}
+    environment = {**sharing_programs, **toys.subprocess_environment(), "REWAX_NATIVE": "0"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
     assert done.stdout == "the same numbers\n", done.stderr
 

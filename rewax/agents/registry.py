@@ -70,15 +70,19 @@ def _make_variant(
     **options: object,
 ) -> Agent:
     """Warns of a configuration that undoes the changes, with which it is the algorithm itself."""
-    undone = [f"{name} {getattr(config, name)!r}, not {value!r}" for name, value in changes.items()
-              if config is not None and getattr(config, name) != value]  # fmt: skip
+    agent = make(env, defaults if config is None else config, **options)
+    undone = [
+        f"{name} {getattr(config, name)!r}, not {value!r}"
+        for name, value in changes.items()
+        if getattr(config, name, value) != value
+    ]
     if undone:
         warnings.warn(
             f"the configuration has {', '.join(undone)}: begin with algorithm(name).defaults() or its preset, and "
             "change other options",
             stacklevel=3,
         )
-    return make(env, defaults if config is None else config, **options)
+    return agent
 
 
 def _changed_preset(

@@ -173,5 +173,5 @@ def test_every_sample_is_in_one_minibatch_and_keeps_its_fields_together():
 
 
 def test_an_integer_is_a_learning_rate():
-    config = dataclasses.replace(CASES["ppo"].config, actor_learning_rate=1)
+    config = dataclasses.replace(CASES["ppo"].config, actor_learning_rate=1, learning_rate_range=(1e-6, 1.0))
     assert jax.eval_shape(make_agent("ppo", ENV, config).init, jax.random.key(0)).learning_rate.dtype == jnp.float32

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -115,18 +116,14 @@ def test_an_environment_of_ones_own_is_trained_and_evaluated(tmp_path):
     assert "--import of the module 'tasks' in" in unknown.stderr and "which is gone: put it back" in unknown.stderr
 
 
-def test_the_examples_are_these_commands(tmp_path):
+def test_the_examples_are_these_commands(monkeypatch, capsys):
     for example, words in (("train_sapo", ["train", "--sapo.num-envs"]), ("evaluate_policy", ["eval", "--run-dir"])):
         path = registry.__file__.replace("rewax/envs/registry.py", f"examples/{example}.py")
-        done = subprocess.run(
-            [sys.executable, path, "--help"],
-            cwd=tmp_path,
-            env=toys.subprocess_environment(),
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert f"rewax {words[0]}" in done.stdout and words[1] in done.stdout
+        monkeypatch.setattr(sys, "argv", [path, "--help"])
+        with pytest.raises(SystemExit) as left:
+            runpy.run_path(path, run_name="__main__")
+        said = capsys.readouterr().out
+        assert not left.value.code and f"rewax {words[0]}" in said and words[1] in said
 
 
 def test_warnings_to_users_are_one_sentence(monkeypatch, capsys):

@@ -147,13 +147,18 @@ def test_noise_falls_on_positions_alone_with_its_deviation():
 def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
     plain, noisy = poke(), poke(cloud=PointCloud(num_points=3, random=True, velocities=True, noise=jnp.asarray(0.01)))
     assert noisy.observation_spec["particle_q"].shape == (3, 6)
-    a, b = (env.step(env.reset(jax.random.key(2)), jnp.ones(1)) for env in (plain, noisy))
+    a, b = (jax.jit(env.step)(jax.jit(env.reset)(jax.random.key(2)), jnp.ones(1)) for env in (plain, noisy))
     np.testing.assert_array_equal(a.physics.soft.x, b.physics.soft.x)
     assert float(a.reward) == float(b.reward)
     np.testing.assert_array_equal(a.obs["com_q"], a.physics.soft.x.mean(0))
     np.testing.assert_allclose(b.obs["com_q"], b.obs["particle_q"][:, :3].mean(0), atol=1e-7)
     assert np.abs(b.obs["com_q"] - a.obs["com_q"]).max() > 1e-3  # the exact mean is hidden
-    check_env(noisy, check_full_episode=False)
+
+
+@pytest.mark.slow
+def test_a_task_with_a_noisy_cloud_passes_the_check():
+    cloud = PointCloud(num_points=3, random=True, velocities=True, noise=jnp.asarray(0.01))
+    check_env(poke(cloud=cloud), check_full_episode=False)
 
 
 # --- Mistakes --------------------------------------------------------------------------------------------------------

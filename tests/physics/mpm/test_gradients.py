@@ -114,9 +114,12 @@ def test_fifty_substeps_with_plastic_flow_and_contact(x64, random_like, central_
         forward, reverse = inner(cotangent, tangent), inner(gradient, move)
         # The best of four steps: contact sets in abruptly at single nodes, which spoils a difference across it, and
         # 50 substeps amplify rounding, which spoils a short one. A wrong derivative disagrees with all.
-        steps = (3e-6, 1e-6, 3e-7, 1e-7)
-        differences = [inner(cotangent, central_difference(simulate, args, move, step)) for step in steps]
-        errors[name] = min(abs(reverse - d) / max(abs(d), 1e-3) for d in differences)
+        errors[name] = np.inf
+        for step in (3e-6, 1e-6, 3e-7, 1e-7):
+            difference = inner(cotangent, central_difference(simulate, args, move, step))
+            errors[name] = min(errors[name], abs(reverse - difference) / max(abs(difference), 1e-3))
+            if errors[name] < 1e-4:
+                break
         modes[name] = abs(reverse - forward) / max(abs(forward), 1e-3)
     print("50 substeps", {name: f"{error:.1e}" for name, error in errors.items()})
     assert max(modes.values()) < 1e-8, modes

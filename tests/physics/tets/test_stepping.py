@@ -219,11 +219,13 @@ def test_twenty_substeps_reverse_forward_and_finite_difference_agree(x64, random
     modes, errors, idle = {}, {}, set()
     for name, move in moves_of_each_leaf(random_like, args):
         forward, reverse = inner(cotangent, VALUE_AND_TANGENT(args, move)[1]), inner(gradient, move)
-        differences = [
-            inner(cotangent, central_difference(value, args, move, step)) for step in (1e-5, 1e-6, 1e-7, 1e-8)
-        ]
         modes[name] = abs(reverse - forward) / max(abs(forward), 1e-3)
-        errors[name] = min(abs(reverse - d) / max(abs(d), 1e-3) for d in differences)
+        errors[name] = np.inf
+        for step in (1e-6, 1e-7, 1e-8, 1e-5):
+            difference = inner(cotangent, central_difference(value, args, move, step))
+            errors[name] = min(errors[name], abs(reverse - difference) / max(abs(difference), 1e-3))
+            if errors[name] < 1e-5:
+                break
         idle |= {name} if reverse == 0 else set()
     print("20 substeps", {name: f"{error:.1e}" for name, error in errors.items()})
     assert idle <= {"[0].colliders[0].softness"}

@@ -85,7 +85,7 @@ def test_an_unfinished_checkpoint_is_not_seen_and_later_removed(tmp_path):
     assert not unfinished.exists()
 
 
-def test_a_process_killed_while_writing_leaves_the_previous_one(tmp_path):
+def test_a_process_killed_while_writing_leaves_the_previous_one(tmp_path, sharing_programs):
     script = textwrap.dedent("""
         import os, signal, sys
         import jax, numpy as np, toys
@@ -101,7 +101,8 @@ def test_a_process_killed_while_writing_leaves_the_previous_one(tmp_path):
         ocp.Checkpointer.save = die_after
         checkpoint.save(sys.argv[1], agent.train_step(state)[0])
     """)
-    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], env=toys.subprocess_environment(), timeout=300)
+    environment = {**sharing_programs, **toys.subprocess_environment()}
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], env=environment, timeout=300)
     assert done.returncode == -signal.SIGKILL
     assert (tmp_path / "checkpoints" / ".writing-1").is_dir()
     assert checkpoint.latest_step(tmp_path) == 0

@@ -32,14 +32,14 @@ def test_one_holder_at_a_time(tmp_path):
 
 
 def test_a_refusal_leaves_nothing_behind(tmp_path):
-    with pytest.raises(ValueError), hold(tmp_path / "runs" / "new"):
+    with pytest.raises(ValueError, match=r"^refused$"), hold(tmp_path / "runs" / "new"):
         raise ValueError("refused")
     assert not list(tmp_path.iterdir())
     (tmp_path / "there").mkdir()
-    with pytest.raises(ValueError), hold(tmp_path / "there"):
+    with pytest.raises(ValueError, match=r"^refused$"), hold(tmp_path / "there"):
         raise ValueError("refused")
     assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
-    with pytest.raises(ValueError), hold(tmp_path / "runs" / "begun"):
+    with pytest.raises(ValueError, match=r"^failed later$"), hold(tmp_path / "runs" / "begun"):
         (tmp_path / "runs" / "begun" / "config.json").write_text("{}")
         raise ValueError("failed later")
     assert (tmp_path / "runs" / "begun" / "config.json").is_file()

@@ -13,8 +13,8 @@ TASK = 'scale = "small"\ntasks = ["Hopper"]\nalgorithms = ["sapo", "ppo"]\nseeds
 def test_built_in_suites_can_be_read_and_configured(name):
     suite = read_suite(name)
     assert suite.name == name and len(list(cells(suite))) == len(suite.tasks) * len(suite.algorithms) * len(suite.seeds)
-    for cell in cells(suite):
-        assert isinstance(suite.config(cell.task, cell.algorithm), algorithm(cell.algorithm).config_type)
+    for task, name_of_algorithm in {(cell.task, cell.algorithm) for cell in cells(suite)}:
+        assert isinstance(suite.config(task, name_of_algorithm), algorithm(name_of_algorithm).config_type)
 
 
 def test_options_change_the_presets(tmp_path):
