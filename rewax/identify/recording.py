@@ -107,10 +107,7 @@ def record_states(
             f"body {camera.body} carries the camera, but a record is seen by one that stands still: give a camera "
             "with body=None"
         )
-    names = env.world(states[0], up).names
-    # with_robot renames a body of the robot that has a name of the world.
-    robot = [f"{name}_2" if f"{name}_2" in names else name for name in _robot(env)]
-    body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *robot)]
+    body = soft_labels(env.world(states[0], up).names, _robot(env))
     frames = list(range(0, len(actions) + 1, every))
     clouds, masks = [], []
     for n in frames:
@@ -128,6 +125,15 @@ def record_states(
         control_dt=dt, joint_q=None if joints is None else np.asarray(joints), camera=camera_numbers(camera),
         source=source,
     )  # fmt: skip
+
+
+def soft_labels(names: Sequence[str], robot: Sequence[str]) -> list[int]:
+    """Which of the names in a world are neither a tool, nor the floor, nor a body of the robot.
+
+    ``with_robot`` gives a body of the robot that has a name of the world the name with ``_2`` behind it.
+    """
+    others = {"tool", "floor", *(f"{name}_2" if f"{name}_2" in names else name for name in robot)}
+    return [i for i, name in enumerate(names) if name not in others]
 
 
 def _robot(env: Any) -> list[str]:
@@ -203,4 +209,4 @@ def _hidden(points: np.ndarray, chosen: np.ndarray, share: float, key: Key) -> n
     return along > np.quantile(along[chosen], 1.0 - share)
 
 
-__all__ = ["Script", "camera_for", "record", "record_states"]
+__all__ = ["Script", "camera_for", "record", "record_states", "soft_labels"]

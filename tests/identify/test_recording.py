@@ -10,7 +10,7 @@ from rewax.envs.history import History
 from rewax.envs.randomize import Uniform, hook
 from rewax.envs.randomized import Randomized
 from rewax.identify import load, record, record_states, save
-from rewax.identify.recording import camera_for
+from rewax.identify.recording import camera_for, soft_labels
 from rewax.identify.records import camera_numbers, camera_of
 from rewax.identify.simulate import drawn_once, regions, without_reset_noise
 from rewax.sensors import Camera
@@ -121,6 +121,11 @@ def test_bad_options_and_failed_steps_are_told(env):
 def test_regions_have_about_equally_many_points(seen):
     counts = np.bincount(regions(seen.clouds, seen.mask, 4).reshape(-1), minlength=16)
     assert counts.sum() == seen.mask.sum() and np.sort(counts)[4] > 0.3 * counts.mean()
+
+
+def test_a_body_of_the_robot_may_be_called_as_the_soft_one():
+    assert soft_labels(("dough", "floor", "world", "dough_2", "hand"), ["world", "dough", "hand"]) == [0]
+    assert soft_labels(("dough", "tool", "floor", "floor_2"), ["floor"]) == [0]
 
 
 def test_a_robot_is_no_part_of_the_body_that_is_recorded():
