@@ -125,7 +125,7 @@ def _check_stable(scene: mpm.MPMScene, state: mpm.MPMState) -> None:
 
 
 def _check_lowered(scene: mpm.MPMScene, state: mpm.MPMState, say: Progress) -> None:
-    decisions = decisions_of(lambda *args: mpm.step(*args, mpm.static_poses(2)), scene, state)
+    decisions = decisions_of(lambda scene, state: mpm.step(scene, state, mpm.static_poses(2)), scene, state)
     slow = [f"{d.function.rpartition('.')[2]} ({d.rule}): {d.reason}" for d in decisions if d.reason is not None]
     assert not slow, f"the law runs in XLA, slower than in C++: {'; '.join(slow)} (docs/lowering.md says what helps)"
     say("in C++" if decisions else "in XLA: there is no C++ here")
