@@ -19,6 +19,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="pip install 'rewax[gymnasiu
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import rewax  # noqa: E402
+from rewax import struct  # noqa: E402
 from rewax.adapters import gymnasium_ids  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
 from rewax.envs.sensing import Sensing  # noqa: E402
@@ -227,7 +228,8 @@ def test_the_entry_point_imports_no_jax():
 
 
 def test_observations_of_other_types_become_float32():
-    class Counting:
+    @struct.dataclass
+    class Counting(struct.Replaceable):
         def see(self, world, key):
             return jnp.arange(3)
 
