@@ -212,6 +212,25 @@ def derivatives():
 
 
 @pytest.fixture(scope="session")
+def least_error(inner, central_difference):
+    """``least_error(f, args, move, cotangent, slope, steps, bar)``: of a slope from central differences, relative.
+
+    It is that of the first of the steps whose error is below ``bar``, else the least one.
+    """
+
+    def of(f, args, move, cotangent, slope, *, steps, bar):
+        least = np.inf
+        for step in steps:
+            difference = inner(cotangent, central_difference(f, args, move, step))
+            least = min(least, abs(slope - difference) / max(abs(difference), 1e-3))
+            if least < bar:
+                break
+        return least
+
+    return of
+
+
+@pytest.fixture(scope="session")
 def agree_along(derivatives, inner):
     """``agree_along(f, args, directions)``: reverse = forward = central difference of a scalar function.
 

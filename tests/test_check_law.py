@@ -129,7 +129,7 @@ class Stiffens(Plasticity):
 
 @struct.dataclass
 class Undefined(Stiffens):
-    """Beyond a stretch that small deformations do not reach, its stiffness is no number."""
+    """Its stiffness is NaN beyond a stretch that small deformations do not reach."""
 
     def stiffness(self, memory):
         return jnp.where(memory[0] > 0.25, jnp.nan, 1.0)
