@@ -12,6 +12,7 @@ from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.base import Agent
 from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.flash_sac import FlashSACConfig
 from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.registry import make_agent
@@ -58,6 +59,7 @@ CASES = {
     ),
     "ppo": Case("ppo", PPOConfig(**{**_CRITICS, "num_envs": 16, "horizon": 32}, minibatches=4), 40),
     "sac": Case("sac", SACConfig(**{**_CRITICS, "actor_learning_rate": 3e-3}, **_REPLAY), 300),
+    "flash_sac": Case("flash_sac", FlashSACConfig(**{**_CRITICS, "actor_learning_rate": 3e-3}, **_REPLAY), 300),
     "trajopt": Case("trajopt", TrajOptConfig(num_envs=4, learning_rate=0.05)),
 }
 ENV = toys.point_mass()

@@ -188,13 +188,18 @@ def make_actor(env: Env, config: P) -> Actor[P]:
     return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
 
-def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
-    """Networks and optimizers for an environment; errors as for ``make_actor``."""
+def make_actor_critic(env: Env, config: C, *, num_outputs: int = 1) -> ActorCritic[C]:
+    """Networks and optimizers for an environment; errors as for ``make_actor``. ``num_outputs``: of each critic."""
     _check_names("critic_observe", config.critic_observe, env)
     sizes = (config.critic_widths, config.num_critics)
     activation = ACTIVATIONS[config.activation]
     critics = Critics(
-        _encoder(config, config.critic_observe), *sizes, activation, config.initial_gain, config.value_gain
+        _encoder(config, config.critic_observe),
+        *sizes,
+        activation,
+        config.initial_gain,
+        config.value_gain,
+        num_outputs,
     )
     return ActorCritic(config, _network(env, config), env.action_spec.shape[0], env.observation_spec, critics)
 

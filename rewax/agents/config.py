@@ -287,6 +287,39 @@ class FittingOptions:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class ReplayOptions:
+    """How an off-policy algorithm stores steps and learns from them.
+
+    A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
+
+    Attributes:
+      replay_size: capacity of the replay buffer, in steps of all environments together, rounded down to whole
+        iterations. Several devices share the buffer.
+      batch_size: samples per update.
+      updates: updates per iteration, of the critics where actor and critics have different numbers.
+      warmup_steps: control steps per environment with uniformly random actions before the first update. Until then
+        ``critic_loss`` is that of the initial critics, and the other metrics of updates are NaN.
+      num_steps: n of the n-step returns.
+      target_rate: weight of the new parameters in each update of the target network.
+      normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
+        learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
+        updates to reach values of hundreds, and the policy does not learn until then (docs/measured/algorithms.md).
+      initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
+    """
+
+    replay_size: Count = 1_000_000
+    batch_size: Count = 1024
+    updates: Count = 8
+    warmup_steps: Natural = 32
+    num_steps: Count = 3
+    target_rate: Share = 0.005
+    normalize_rewards: bool = False
+    initial_temperature: Positive = 1.0
+    temperature_learning_rate: Positive = 5e-3
+    target_entropy_scale: Positive = 0.5
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyConfig(PolicyOptions, RunConfig):
     """Options of an algorithm with a policy network and no critics."""
 
@@ -294,6 +327,24 @@ class PolicyConfig(PolicyOptions, RunConfig):
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ActorCriticConfig(CriticOptions, PolicyOptions, RunConfig):
     """Options of an algorithm with a policy network and critics."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReplayConfig(ReplayOptions, CriticOptions, PolicyOptions, RunConfig):
+    """Options of an off-policy actor-critic algorithm."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.replay_size < self.samples:
+            raise ValueError(
+                f"replay_size is {self.replay_size}, less than the {self.samples} steps of one iteration "
+                "(num_envs * horizon): make it larger"
+            )
+
+    @property
+    def capacity(self) -> int:
+        """Capacity of the replay buffer, in steps per environment."""
+        return self.replay_size // self.samples * self.horizon
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -319,5 +370,5 @@ class FirstOrderConfig(FittingOptions, GradientOptions, CriticOptions, PolicyOpt
         return self.samples // self.critic_minibatches
 
 
-AnyPolicyConfig: TypeAlias = PolicyConfig | ActorCriticConfig | FirstOrderConfig
-AnyCriticConfig: TypeAlias = ActorCriticConfig | FirstOrderConfig
+AnyPolicyConfig: TypeAlias = PolicyConfig | ActorCriticConfig | ReplayConfig | FirstOrderConfig
+AnyCriticConfig: TypeAlias = ActorCriticConfig | ReplayConfig | FirstOrderConfig

@@ -239,7 +239,8 @@ class Critics(nn.Module):
     """Observation -> values of several independent heads on one shared encoder, shape (num_critics,).
 
     With an action, action values: the action is concatenated to the encoder's features. ``head_gain``: see
-    ``GaussianActor``.
+    ``GaussianActor``. With ``num_outputs`` > 1 each head has so many outputs, and the shape is
+    (num_critics, num_outputs).
     """
 
     encoder: Encoder
@@ -248,6 +249,7 @@ class Critics(nn.Module):
     activation: Activation
     gain: float
     head_gain: float | None = None
+    num_outputs: int = 1
 
     @nn.compact
     def __call__(self, obs: Observation, action: Array | None = None) -> Array:
@@ -256,12 +258,12 @@ class Critics(nn.Module):
             features = jnp.concatenate([features, action])
         init = orthogonal(self.gain if self.head_gain is None else self.head_gain)
         values = [
-            nn.Dense(1, kernel_init=init, name=f"value_{i}")(
+            nn.Dense(self.num_outputs, kernel_init=init, name=f"value_{i}")(
                 MLP(self.widths, self.activation, self.gain, name=f"mlp_{i}")(features)
             )
             for i in range(self.num_critics)
         ]
-        return jnp.concatenate(values)
+        return jnp.concatenate(values) if self.num_outputs == 1 else jnp.stack(values)
 
 
 ACTIVATIONS: Mapping[str, Activation] = {"silu": jax.nn.silu, "elu": jax.nn.elu, "relu": jax.nn.relu, "tanh": jnp.tanh}

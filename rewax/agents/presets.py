@@ -13,6 +13,7 @@ from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.config import RunConfig, Value
 from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.flash_sac import FlashSACConfig
 from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.rpo import RPOConfig
@@ -236,6 +237,16 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
     rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
     sizes = {"batch_size": 256, "updates": 32, "target_rate": 0.02, "replay_size": 100_000}
     return _sized(SACConfig, base, **sizes, **rates, **_LARGE_RETURNS.get(env_name, {}), **_NO_GRADIENT)
+
+
+def flash_sac_preset(env_name: str, scale: str) -> FlashSACConfig:
+    """Hyper-parameters of FlashSAC; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    if scale == "paper":
+        return _sized(FlashSACConfig, base, **_NO_GRADIENT)
+    rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
+    sizes = {"batch_size": 1024, "updates": 16, "target_rate": 0.02, "replay_size": 100_000}
+    return _sized(FlashSACConfig, base, **sizes, **rates, **_NO_GRADIENT)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:

@@ -102,6 +102,7 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "apg": _own("apg", "APGConfig"),
     "ppo": _own("ppo", "PPOConfig"),
     "sac": _own("sac", "SACConfig"),
+    "flash_sac": _own("flash_sac", "FlashSACConfig"),
     "trajopt": _own("trajopt", "TrajOptConfig"),
     "ahac": _own("ahac", "AHACConfig"),
     "rpo": _own("rpo", "RPOConfig"),

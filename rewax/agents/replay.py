@@ -3,6 +3,7 @@
 Source: Mnih et al. 2015 (replay); Sutton and Barto 2018, section 7.1 (n-step returns).
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -134,9 +135,10 @@ def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discou
     )
 
 
-def return_scale(replay: Replay, discount: float) -> Array:
+def return_scale(replay: Replay, discount: float, limit: float = math.inf) -> Array:
     """Root mean square of the discounted returns from every stored step to the end of its episode, shape ().
 
+    It is at least the largest size of a return divided by ``limit``: divided by the scale, no return exceeds the limit.
     A return also ends at the newest step, and at the last place of the full ring, although the step after it in time is
     in the first place. Failed steps are masked. If all rewards are zero, the scale is 1.
     """
@@ -155,6 +157,8 @@ def return_scale(replay: Replay, discount: float) -> Array:
     )
     there = steps.valid & (position < replay.count)[:, None]
     scale = jnp.sqrt(jnp.mean(returns**2, where=there))
+    if limit < math.inf:
+        scale = jnp.maximum(scale, jnp.max(jnp.abs(returns), where=there, initial=0.0) / limit)
     return jnp.where(scale > 0.0, scale, 1.0)  # a comparison with NaN is false
 
 

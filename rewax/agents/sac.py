@@ -13,7 +13,7 @@ Differences from their code:
 import dataclasses
 import functools
 import warnings
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Annotated, Self, TypeAlias, cast
 
 import jax
@@ -24,8 +24,7 @@ from rewax import struct
 from rewax.agents import replay as replays
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import ActorCriticConfig, no_memory
-from rewax.agents.legal import Count, Natural, Positive, Share
+from rewax.agents.config import ReplayConfig, no_memory
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
 from rewax.agents.rollout import Transition, masked, rollout
@@ -39,25 +38,9 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SACConfig(ActorCriticConfig):
-    """Hyper-parameters beyond those of ``ActorCriticConfig``. Learning rates are constant: ``final_learning_rate`` and
+class SACConfig(ReplayConfig):
+    """Hyper-parameters: those of ``ReplayConfig``. Learning rates are constant: ``final_learning_rate`` and
     ``num_iterations`` have no effect on them.
-
-    A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
-
-    Attributes:
-      replay_size: capacity of the replay buffer, in steps of all environments together, rounded down to whole
-        iterations. Several devices share the buffer.
-      batch_size: samples per update.
-      updates: updates per iteration.
-      warmup_steps: control steps per environment with uniformly random actions before the first update. Until then
-        ``critic_loss`` is that of the initial critics, and the other metrics of updates are NaN.
-      num_steps: n of the n-step returns.
-      target_rate: weight of the new parameters in each update of the target network.
-      normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
-        learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
-        updates to reach values of hundreds, and the policy does not learn until then (docs/measured/algorithms.md).
-      initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
     """
 
     actor_learning_rate: float = 5e-4
@@ -67,32 +50,11 @@ class SACConfig(ActorCriticConfig):
     initial_gain: float = 2.0**0.5
     observation_clip: float | None = 5.0
     memory: Annotated[int, no_memory("SAC learns from single transitions")] = 0
-    replay_size: Count = 1_000_000
-    batch_size: Count = 1024
-    updates: Count = 8
-    warmup_steps: Natural = 32
-    num_steps: Count = 3
-    target_rate: Share = 0.005
-    normalize_rewards: bool = False
-    initial_temperature: Positive = 1.0
-    temperature_learning_rate: Positive = 5e-3
-    target_entropy_scale: Positive = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.replay_size < self.samples:
-            raise ValueError(
-                f"replay_size is {self.replay_size}, less than the {self.samples} steps of one iteration "
-                "(num_envs * horizon): make it larger"
-            )
-
-    @property
-    def capacity(self) -> int:
-        """Capacity of the replay buffer, in steps per environment."""
-        return self.replay_size // self.samples * self.horizon
 
 
-Networks: TypeAlias = ActorCritic[SACConfig]
+Networks: TypeAlias = ActorCritic[ReplayConfig]
+
+Update: TypeAlias = Callable[["SACState", Key], tuple["SACState", Metrics]]
 
 LARGE_REPLAY = 8e9
 """Size of a replay buffer above which a warning says it [bytes]: pictures at the default capacity have it."""
@@ -127,10 +89,14 @@ def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize 
 
 def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
     """The first state of a run."""
-    env, keys = leaves.first(), run_keys(key)
-    networks = make_actor_critic(env, config)
+    return start(make_actor_critic(leaves.first(), config), leaves, key)
+
+
+def start(networks: Networks, leaves: EnvLeaves, key: Key) -> SACState:
+    """The first state of a run with given networks."""
+    config, keys = networks.config, run_keys(key)
     environments = start_environments(config, leaves, keys)
-    obs, action = environments.first_observation(), jnp.zeros(env.action_spec.shape)
+    obs, action = environments.first_observation(), jnp.zeros(networks.action_size)
     actor_params = networks.network.init(keys.actor, obs)
     critic_params = networks.critics.init(keys.critics, obs, action)
     log_alpha, alpha_opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
@@ -166,6 +132,30 @@ def _empty_replay(environments: Environments, action: Array, capacity: int) -> R
 def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     """One iteration: act, add to the replay buffer, update."""
     networks = make_actor_critic(state.environments.env.first(), config)
+
+    def updates(replay: Replay) -> Update:
+        scale = replays.return_scale(replay, config.discount) if config.normalize_rewards else None
+        return functools.partial(update, networks, replay, scale)
+
+    return iterate(networks, state, act, updates, config.updates)
+
+
+def iterate(
+    networks: Networks,
+    state: SACState,
+    act: Callable[..., tuple[State, Transition]],
+    updates: Callable[[Replay], Update],
+    num_updates: int,
+) -> tuple[SACState, Metrics]:
+    """One iteration of an algorithm with a replay buffer.
+
+    Args:
+      networks, state: the run.
+      act: rollout of one environment, as ``act`` of this module.
+      updates: from the buffer, the update ``(state, key) -> (state, metrics)``.
+      num_updates: number of updates.
+    """
+    config = networks.config
     key, rollout_key, update_key = jax.random.split(state.key, 3)
     warming_up = state.iteration * config.horizon < config.warmup_steps
 
@@ -177,11 +167,9 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     replay = replays.add(state.replay, jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), steps))
     state, episode_metrics = state.after(config, end, t, key)
 
-    start = state.common().replace(replay=None)  # without the buffer, which the updates do not change
-    scale = replays.return_scale(replay, config.discount) if config.normalize_rewards else None
-    one_update = functools.partial(update, networks, replay, scale)
-    learnt, rows = jax.lax.scan(one_update, start, jax.random.split(update_key, config.updates))
-    learnt = select(warming_up, start, learnt)
+    begin = state.common().replace(replay=None)  # without the buffer, which the updates do not change
+    learnt, rows = jax.lax.scan(updates(replay), begin, jax.random.split(update_key, num_updates))
+    learnt = select(warming_up, begin, learnt)
     metrics = select(warming_up, _before_updates(rows), jax.tree.map(jnp.mean, rows))
     metrics |= {"temperature": jnp.exp(learnt.log_temperature)}
     return learnt.replace(environments=state.environments, replay=replay), {**episode_metrics, **metrics}
@@ -258,13 +246,13 @@ def critic_loss(
 
     Source: Haarnoja et al. 2018, eq. 5, without its factor 1/2.
     """
-    action, log_prob = _sampled(networks, state.actor_params, batch.next_obs, key)
+    action, log_prob = sampled(networks, state.actor_params, batch.next_obs, key)
     next_value = networks.action_values(state.target_params, batch.next_obs, action).min(axis=-1)
     soft = next_value - jnp.exp(state.log_temperature) * log_prob  # eq. 3
     target = jax.lax.stop_gradient(batch.reward + batch.discount * soft)
     error = networks.action_values(params, batch.obs, batch.action) - target[:, None]
-    loss = _mean(jnp.mean(error**2, axis=-1), batch.valid)
-    return loss, {"critic_loss": loss, "value": _mean(target, batch.valid)}
+    loss = mean_of_valid(jnp.mean(error**2, axis=-1), batch.valid)
+    return loss, {"critic_loss": loss, "value": mean_of_valid(target, batch.valid)}
 
 
 def actor_loss(
@@ -274,17 +262,18 @@ def actor_loss(
 
     Source: Haarnoja et al. 2018, eq. 7.
     """
-    action, log_prob = _sampled(networks, params, batch.obs, key)
+    action, log_prob = sampled(networks, params, batch.obs, key)
     value = networks.action_values(state.critic_params, batch.obs, action).min(axis=-1)
-    loss = _mean(jnp.exp(state.log_temperature) * log_prob - value, batch.valid)
-    return loss, {"actor_loss": loss, "entropy": -_mean(log_prob, batch.valid)}
+    loss = mean_of_valid(jnp.exp(state.log_temperature) * log_prob - value, batch.valid)
+    return loss, {"actor_loss": loss, "entropy": -mean_of_valid(log_prob, batch.valid)}
 
 
-def _sampled(networks: Networks, params: PyTree, normalized: Observation, key: Key) -> tuple[Array, Array]:
+def sampled(networks: Networks, params: PyTree, normalized: Observation, key: Key) -> tuple[Array, Array]:
     """One action and its log probability for every observation."""
     keys = jax.random.split(key, len(jax.tree.leaves(normalized)[0]))
     return jax.vmap(lambda obs, key: networks.distribution(params, obs).sample_and_log_prob(key))(normalized, keys)
 
 
-def _mean(values: Array, valid: Array) -> Array:
+def mean_of_valid(values: Array, valid: Array) -> Array:
+    """Mean of the values of valid samples, shape (); 0 if there is none. Both arguments have shape (n,)."""
     return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(valid.sum(), 1)

@@ -25,7 +25,7 @@ def test_it_learns_and_compiles_once(name):
     state, rows = trained(name)
     key = jax.random.key(5)
     result = make_evaluate(ENV, agent(name).policy, 64)(state, key, deterministic=True)
-    floor = -0.75 if name in ("trajopt", "sac") else -0.6  # one sequence for all starts cannot do better
+    floor = -0.75 if name in ("trajopt", "sac", "flash_sac") else -0.6  # one sequence for all starts cannot do better
     assert result["mean"] > floor, result["mean"]
     assert agent(name).train_step._cache_size() <= 1  # 0: another module has cleared the caches since
     assert sum(int(row["failed_episodes"]) for row in rows) == 0
@@ -68,7 +68,7 @@ def test_it_reports_what_the_loop_needs(name):
 def test_an_environment_that_begins_with_nan_does_not_stop_the_others(name):
     """Such a reset is a failed episode, and its numbers reach neither gradients nor the replay buffer."""
     state = agent(name).init(jax.random.key(3))
-    for _ in range(9 if name == "sac" else 4):  # SAC fills its replay buffer before it learns
+    for _ in range(9 if "sac" in name else 4):  # SAC fills its replay buffer before it learns
         state, _ = agent(name).train_step(state)
 
     def broken(leaf):

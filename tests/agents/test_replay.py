@@ -6,8 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rewax.agents.replay import Step, add, bytes_of, ended, make_replay, return_scale, sample
+from rewax.agents import replay as replays
+from rewax.agents.replay import Step, bytes_of, ended, make_replay
 
+add = jax.jit(replays.add)
+sample = jax.jit(replays.sample, static_argnums=2, static_argnames="num_steps")
+return_scale = jax.jit(replays.return_scale, static_argnums=2)
 NUM_ENVS, CAPACITY, DISCOUNT = 2, 8, 0.5
 
 
@@ -110,6 +114,13 @@ def test_the_scale_of_returns_equals_a_loop(seed, length):
                 returns.append(total)
     wanted = np.sqrt(np.mean(np.square(returns))) if np.any(returns) else 1.0
     np.testing.assert_allclose(return_scale(replay, DISCOUNT), wanted, rtol=1e-5)
+
+
+def test_divided_by_the_scale_no_return_exceeds_a_limit():
+    replay = add(empty(), steps(0, 4))
+    largest = 21.0 + DISCOUNT * 31.0  # from the third of four steps in the second environment
+    assert return_scale(replay, DISCOUNT, 1e3) == return_scale(replay, DISCOUNT)
+    np.testing.assert_allclose(return_scale(replay, DISCOUNT, 1.2), largest / 1.2, rtol=1e-5)
 
 
 def test_without_rewards_the_scale_is_1():

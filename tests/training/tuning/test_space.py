@@ -28,8 +28,8 @@ def test_a_preset_lies_in_its_built_in_space(name, task):
     assert set(preset_values(space, algorithm(name).preset(task, "small"))) == set(space)
 
 
-def test_the_eight_algorithms_have_one():
-    assert set(SPACES) == {"sapo", "shac", "apg", "ahac", "rpo", "ppo", "sac", "trajopt"}
+def test_nine_algorithms_have_one():
+    assert set(SPACES) == {"sapo", "shac", "apg", "ahac", "rpo", "ppo", "sac", "flash_sac", "trajopt"}
 
 
 def test_a_preset_is_in_its_space_as_far_as_it_can_be():
