@@ -222,6 +222,14 @@ def actor_agent(
       config: hyper-parameters.
       init, train_step, donate: see ``bind``.
       randomize: ``(key, env) -> env``, called at each reset to draw new parameters of the environment.
+
+    Returns:
+      The agent. It begins new episodes by itself.
+
+    Raises:
+      ValueError: the environment resets by itself, is a batch of another size than ``num_envs``, has actions that are
+        no vectors in [-1, 1], or lacks an observation that the configuration names; or ``randomize`` or ``memory`` does
+        not fit the environment.
     """
     leaves = partition(env, config.num_envs, randomize, memory=config.memory)
     actor = make_actor(leaves.first(), config)

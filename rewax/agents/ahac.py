@@ -46,8 +46,8 @@ class AHACConfig(FirstOrderConfig):
       horizon: the longest horizon.
       min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration; at least 2, because
         the growth of the gradient compares two states.
-      max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks, unless
-        a sum of equal rewards grows as fast over it [-].
+      max_growth: growth of the norm of the state's gradient per control step above which the horizon H shrinks [-]. For
+        short horizons the limit is H^(1 / (H - 1)), the mean growth for H equal rewards, if that is larger.
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
       critic_minibatches: a divisor of num_envs.
     """

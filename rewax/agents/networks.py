@@ -44,7 +44,7 @@ def _product(x: Array, matrix: Array, dimension_numbers: DotDimensionNumbers, **
 
 
 class Layer(nn.Module):
-    """Linear -> LayerNorm -> activation. LayerNorm's epsilon is flax's 1e-6; the reference has PyTorch's 1e-5."""
+    """Linear -> LayerNorm -> activation. LayerNorm's epsilon is flax's 1e-6; SAPO's code has PyTorch's 1e-5."""
 
     width: int
     activation: Activation

@@ -180,6 +180,16 @@ def build_agent(name: str, env: Env, config: RunConfig) -> Agent:
 
 
 def make_agent(name: str, env: Env, config: RunConfig | None = None, **options: object) -> Agent:
-    """An agent of a registered algorithm. ``config`` None: the defaults, and an ablation's changes of them."""
+    """An agent of a registered algorithm.
+
+    Args:
+      name: of ``list_algorithms()``.
+      env: one environment without auto-reset, or a batch of ``num_envs`` environments.
+      config: hyper-parameters; None: the defaults, and an ablation's changes of them.
+      **options: of the algorithm's ``make``: ``randomize``.
+
+    Raises:
+      ValueError: there is no such algorithm, or it refuses the environment or the configuration.
+    """
     known = algorithm(name)
     return known.make(env, known.defaults() if config is None else config, **options)

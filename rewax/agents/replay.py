@@ -103,6 +103,9 @@ def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discou
       num_samples: number of transitions.
       num_steps: n.
       discount: gamma [-].
+
+    Returns:
+      Transitions with a leading axis of length num_samples. Gradient: none.
     """
     when_key, which_key = jax.random.split(key)
     num_envs = replay.steps.reward.shape[1]
