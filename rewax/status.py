@@ -17,7 +17,8 @@ class Status(enum.IntFlag):
 
     OK = 0
     NAN = 1
-    """A non-finite number in the physics, an observation or the reward. Fatal: the episode ends."""
+    """A non-finite number in the physics, an observation or the reward, or a position or velocity of rigid bodies of
+    1e6 or more. Fatal: the episode ends."""
     OUT_OF_DOMAIN = 2
     """A particle left the simulated box and was clamped to its border. Not fatal."""
     CFL = 4
@@ -27,8 +28,8 @@ class Status(enum.IntFlag):
     scene's ``reach``) away from where it was at the beginning: the result is unreliable. A particle that moves further
     and returns within the step is not seen. Give a larger number, or shorter steps. Not fatal."""
     INVERTED = 16
-    """A particle is flattened or inverted (det F <= 0): the time step is too long for its motion, or it is crushed. Not
-    fatal."""
+    """A particle or tet is flattened or inverted (det F <= 0), or a triangle of cloth is flattened: the substep is too
+    long for its motion, or it is crushed. Not fatal."""
     FAR_COLLIDERS = 32
     """More colliders are near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
     number. Not fatal."""
@@ -37,9 +38,9 @@ class Status(enum.IntFlag):
     is not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such
     values; this bit reports values that were traced or replaced. Fatal: the episode ends."""
     PENETRATION = 128
-    """A particle lies more than 1.5 cells inside a tool that moves as prescribed. The tool's force has no limit: it
-    tears or crushes a body that cannot give way. Leave room for the body, or slow the tool. A tool that
-    is thinner than three cells cannot set it. Not fatal."""
+    """A particle lies more than 1.5 cells inside a tool that moves as prescribed, or the center of a collider lies
+    inside a tet. The force of a prescribed tool has no limit: it tears or crushes a body that cannot give way. Leave
+    room for the body, or slow the tool. For particles, a tool thinner than three cells cannot set it. Not fatal."""
     FULL_PAIRS = 256
     """More elements of cloth and ropes are, or were in a substep, close to each other than the scene's
     ``self_contact.pairs_per_element``, or more particles to triangles than ``contact.pairs_per_particle`` of a mixed

@@ -25,6 +25,10 @@ class DmEnvironment(dm_env.Environment):
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
       seed: seed of the first states of all episodes.
+
+    Raises:
+      ValueError: the environment resets by itself or is a batch. ``step``: an action of another shape, or one that is
+        not finite.
     """
 
     def __init__(self, env: Env, *, seed: int = 0) -> None:

@@ -29,6 +29,9 @@ class Episodes:
       env: an environment of rewax, unbatched, without ``AutoReset``.
       num_envs: number of environments.
       flat: observations are one vector for each environment, arrays in the order of their names.
+
+    Raises:
+      ValueError: the environment resets by itself or is a batch, or ``num_envs`` is below 1.
     """
 
     def __init__(self, env: Env, num_envs: int, *, flat: bool = False) -> None:

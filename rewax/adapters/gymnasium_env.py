@@ -53,6 +53,11 @@ class GymnasiumEnv(gymnasium.Env):
       env: an environment of rewax, unbatched, without ``AutoReset``.
       render_mode: ``"rgb_array"``: ``render`` draws the present state, uint8 (height, width, 3); None: nothing.
       size: height and width of a picture.
+
+    Raises:
+      ValueError: another render mode, or the environment resets by itself or is a batch. ``step``: an action of another
+        shape, or one that is not finite.
+      gymnasium.error.ResetNeeded: ``step`` or ``render`` before ``reset``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 25}
@@ -106,6 +111,11 @@ class GymnasiumVectorEnv(VectorEnv):
       env: an environment of rewax, unbatched, without ``AutoReset``.
       num_envs: number of environments.
       flat: observations are one vector for each environment, arrays in the order of their names.
+
+    Raises:
+      ValueError: the environment resets by itself or is a batch, or ``num_envs`` is below 1. ``step``: actions of
+        another shape, or not finite.
+      gymnasium.error.ResetNeeded: ``step`` before ``reset``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -22,7 +22,7 @@ def numpy_policy(run: SavedRun, *, deterministic: bool = True, seed: int = 0) ->
 
     Args:
       run: from ``load_policy`` or ``load_run``.
-      deterministic: whether the action is the most likely one; else it is drawn.
+      deterministic: whether the action is the median of its distribution, see ``TanhNormal.mode``; else it is drawn.
       seed: seed of the draws.
     """
     return NumpyActor(run, deterministic=deterministic, seed=seed)

@@ -38,7 +38,10 @@ class TanhNormal:
         return jnp.sum(self.base.log_prob(raw) - log_det)
 
     def kl_divergence(self, other: "TanhNormal") -> Array:
-        """KL(self || other), shape (). The tanh does not change it: it is that of the two normal distributions."""
+        """KL(self || other), shape (). Gradient: exact.
+
+        The tanh does not change it: it is that of the two normal distributions.
+        """
         return jnp.sum(self.base.kl_divergence(other.base))
 
     def sample_and_log_prob(self, key: Key) -> tuple[Array, Array]:

@@ -119,6 +119,9 @@ def critic_update(networks: Networks, state: A, rollouts: Rollout, reward: Array
       networks, state: the critics with their optimizer, and the run.
       rollouts: rollouts, leading axis of environments.
       reward: reward of each step, with or without an entropy bonus, shape (num_envs, T).
+
+    Returns:
+      The new state, and the metrics of ``fit_values`` and ``value``. Targets are constants.
     """
     t, config, statistics = rollouts.transitions, networks.config, state.environments.statistics
     next_values = rollouts.next_values

@@ -21,7 +21,9 @@ NEVER_CLIPPED = 1.0
 
 @struct.dataclass
 class RunningStatistics:
-    """Mean and variance of all samples so far, per component of vectors, per pixel and per channel of pictures.
+    """Mean and variance of all samples so far.
+
+    A vector has a mean and a variance per component. A picture has a mean per pixel and a variance per channel.
 
     Attributes:
       count: number of samples plus 1, for a prior of mean 0 and variance 1, shape ().

@@ -15,24 +15,33 @@ Differentiation = Literal["full", "checkpointed", "none"]
 
 
 class Transition(NamedTuple):
-    """One step. ``rollout`` returns transitions with a leading axis of time."""
+    """One step. ``rollout`` returns transitions with a leading axis of time.
+
+    Attributes:
+      obs: observation before the step.
+      action: result of the policy: an action, shape (action_size,), or ``Remembered(action, memory)``.
+      reward: shape ().
+      next_obs: observation after the step, before any reset.
+      terminated, truncated: how the episode ended, shape (), bool.
+      status: bits of ``Status``, shape (), int32.
+      failed_leaf: see ``State.failed_leaf``, shape (), int32.
+      metrics: of the environment, shape () each.
+      aux: auxiliary outputs of the policy, e.g. its entropy.
+      active: False after the rollout's ``num_active`` steps, where the environment stands still, shape (), bool. Such
+        steps must be masked.
+    """
 
     obs: Observation
     action: Any
-    """Result of the policy: an action, or ``Remembered(action, memory)``."""
     reward: Array
     next_obs: Observation
-    """After the step, before any reset."""
     terminated: Array
     truncated: Array
     status: Array
     failed_leaf: Array
-    """See ``State.failed_leaf``."""
     metrics: dict[str, Array]
     aux: dict[str, Array]
-    """Auxiliary outputs of the policy, e.g. its entropy."""
     active: Array
-    """False after the rollout's ``num_active`` steps, where the environment stands still. Such steps must be masked."""
 
     @property
     def done(self) -> Array:

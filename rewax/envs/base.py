@@ -115,8 +115,14 @@ class Env(Protocol):
 def first_state(*, physics: PyTree, obs: Observation, metrics: dict[str, Array], key: Key) -> State:
     """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``.
 
-    The status is ``Status.NAN`` if physics or observation hold a non-finite number. Such a state has not terminated:
-    its first step fails, unless only physics was not finite and is finite again.
+    The status is ``Status.NAN`` if physics or observation hold a non-finite number. Such a state has not terminated.
+    Its first step fails if the observation was not finite, or if physics still is not.
+
+    Args:
+      physics, obs, metrics: of the first state; ``metrics`` has the names of every later step.
+      key: the randomness that steps use.
+
+    Gradient: passes through unchanged.
     """
     kinds = (leaf.dtype for leaf in jax.tree.leaves(obs) if jnp.issubdtype(leaf.dtype, jnp.floating))
     reward = jnp.zeros((), next(kinds, jnp.result_type(float)))

@@ -28,6 +28,9 @@ class History(struct.Replaceable, _Wrapper):
       >>> env = History(env=make("CartpoleSwingUp"), steps=4)
 
     Gradient: exact, through each observation to the step that it shows. None flows from a new episode to the old one.
+
+    Raises:
+      ValueError: ``steps`` is below 1, ``of`` has an unknown name, or the wrapper is around ``AutoReset`` or a batch.
     """
 
     steps: int = struct.static_field(default=4)

@@ -58,6 +58,10 @@ class Latency(struct.Replaceable, _Wrapper):
 
     Gradient: exact. It flows from the step in which an action acts to the action, and from a delayed observation to the
       state that it shows. None flows from a new episode to the old one.
+
+    Raises:
+      ValueError: a delay is no integer of at least 0 and no range of them, ``of`` has an unknown name, or the wrapper
+        is around ``AutoReset`` or a batch.
     """
 
     observation: Steps = struct.static_field(default=0)

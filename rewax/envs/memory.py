@@ -37,6 +37,9 @@ class Remembering(struct.Replaceable, _Wrapper):
       start: the memory at the beginning of an episode, shape (size,); None: zeros.
 
     Gradient: exact, through the memory to the steps that wrote it.
+
+    Raises:
+      ValueError: the wrapper is around ``AutoReset`` or a batch. ``step``: the action is no ``Remembered``.
     """
 
     size: int = struct.static_field(default=1)
@@ -103,7 +106,11 @@ def initial_memory(policy: Callable[..., Any]) -> Array | None:
 
 
 def stage(env: Any, policy: Callable[..., Any]) -> Any:
-    """The environment as a policy acts in it: with a memory, if the policy has one."""
+    """The environment as a policy acts in it: with a memory, if the policy has one.
+
+    Raises:
+      ValueError: ``initial_memory()`` has not one axis, or the environment has an observation ``memory`` already.
+    """
     memory = initial_memory(policy)
     if memory is None:
         return env

@@ -28,8 +28,12 @@ class Randomized(_Wrapper):
       env: the environment that the hook gets at every reset.
       randomize: the hook (static): ``lambda key, env: env.replace(...)``.
 
-    Gradient: exact through the step, also with respect to ``env``. No gradient flows through the draw for an episode
-      that ``AutoReset`` began.
+    Gradient: exact. ``step`` reads drawn parameters from ``State.drawn``: their gradient reaches ``env`` only through
+      the ``reset`` of the episode, and not if ``AutoReset`` made it.
+
+    Raises:
+      ValueError: the wrapper is around ``AutoReset`` or a batch. ``reset``: the hook changes a shape, a static field,
+        or the type of a parameter from integer to float.
     """
 
     randomize: Randomize = struct.static_field()

@@ -79,6 +79,9 @@ def make(
         environment with ``world(physics, up)`` takes ``sensors``, names of ``rewax.envs.named_sensors.list_sensors()``:
         their observations are added. Then it also takes ``resolution``, pixels along each side of pictures.
 
+    Returns:
+      The environment, unbatched and without auto-reset; with ``sensors`` a ``Sensing``.
+
     Raises:
       ValueError: a name, a scale or an option is unknown, or an option has an illegal value.
 

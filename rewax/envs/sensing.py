@@ -53,7 +53,12 @@ class Sensing(struct.Replaceable, _Wrapper):
     Example:
       >>> env = Sensing(env=make("RollingFlat"), sensors={"depth": Camera.look_at((0, 0.1, 0), eye=(0, 0.6, 0.6))})
 
-    Gradient: as of ``env``; through an observation if its sensor has one, which cameras have only on request.
+    Gradient: as for ``env``. An observation has the gradient of its sensor: that of a ``Touch`` is exact; a ``Camera``
+      has one only with ``gradient=True``.
+
+    Raises:
+      ValueError: the environment has no ``world(physics, up)`` or observes one of the names already; a sensor is no
+        pytree or has no ``see``; ``up`` is no unit vector; or the wrapper is around ``AutoReset`` or a batch.
     """
 
     sensors: dict[str, Any] = struct.field(default_factory=dict)

@@ -168,10 +168,10 @@ class AutoReset(_Wrapper):
 
     After such a step, reward, terminated, truncated, metrics and status belong to the old episode; obs, physics and
     step_count belong to the new one. ``final_obs`` is the last observation of the old episode. Every reset draws a new
-    initial state. A step in which no episode of the batch ends computes no new state and no observation of one.
+    initial state. A step in which no episode of the batch ends computes no reset.
 
-    Gradient: exact through the step. No gradient flows from a new episode to the old one of the same environment;
-      other environments of a batch are not affected.
+    Gradient: exact through the step. The first state of a new episode is a constant, also with respect to the
+      parameters of the environment. Other environments of a batch are not affected.
 
     Raises:
       ValueError: the environment has an ``AutoReset`` already, or is a batch.

@@ -19,10 +19,11 @@ from rewax.identify.records import Record, load, save
 from rewax.identify.resolution import with_cells
 from rewax.identify.result import Identified, SavedResult, load_result
 from rewax.identify.sinkhorn import sinkhorn_divergence
-from rewax.identify.surface import surface_residuals
+from rewax.identify.surface import surface_offsets, surface_residuals
 
 __all__ = [
     "Identified", "Minimum", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify",
     "load", "load_result", "matched", "minimize", "occupancy", "one_sided_chamfer", "over_time", "read_folder",
-    "record", "record_states", "save", "sinkhorn_divergence", "surface_residuals", "with_body", "with_cells",
+    "record", "record_states", "save", "sinkhorn_divergence", "surface_offsets", "surface_residuals", "with_body",
+    "with_cells",
 ]  # fmt: skip

@@ -36,7 +36,7 @@ class Minimum(NamedTuple):
     failed: int
     """Simulations that failed; each halved the step."""
     remarks: list[str]
-    """Sentences about what the search was cut off from."""
+    """Sentences about unknowns that the stable substep limits."""
 
 
 def minimize(

@@ -57,8 +57,8 @@ def identify(
 
     The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits away from
     local minima of long motions. Frames beyond it are not simulated; the compiled program is the same. The substep of
-    the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is a
-    rejected step and counted.
+    the environment bounds how stiff a material can be. ``Identified.remarks`` says so if this ends a search. A
+    simulation that fails is a rejected step and counted.
 
     Args:
       env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with
@@ -66,14 +66,18 @@ def identify(
         each of the others begins where the one before ended. The finest gives the result, and its difference from the
         others is part of the uncertainty.
       record: what was seen.
-      unknowns: priors by the names of parameters, see ``unknowns.space_of``.
+      unknowns: priors by the names of parameters, as ``rewax.envs.randomize.hook`` takes them: LogNormal, LogUniform,
+        Normal or Uniform, or ``Scale`` or ``Shift`` of one. A tuple of names shares a number. For i from 0 to 2,
+        ``initial.position[i]`` is a shift of the soft body in the first state [m], ``initial.velocity[i]`` its velocity
+        [m/s].
       starts: number of starts.
       horizons: shares of the record's duration, rising, the last is 1.
       max_iterations: of the last horizon; the others have a third.
       noise: smallest standard deviation of a seen point [m].
       frame_weights: of the frames, shape (num_frames,); None: all 1.
-      residuals: of a frame [m], see ``evaluation.Residuals``; None: distances to the surface of the particles. Pass the
-        same function again to use its compiled program again.
+      residuals: ``(particles, cloud, mask, offsets) -> residuals`` of a frame [m], shape (num_points,), with the
+        ``surface_offsets`` of the first frame; None: ``surface_residuals``. Pass the same function again to use its
+        compiled program again.
       width: of the surface's weights [m]; None: half of the particles' spacing.
       shake: each start displaces the rest positions at random by up to this share of their spacing along each axis,
         so that the scatter of the fits tells what the placement of particles does; 0: none. Vertices of meshes stay.
@@ -85,9 +89,12 @@ def identify(
         finest.
       progress: called with a line for each iteration.
 
+    Returns:
+      Values, covariance and intervals of the unknowns, and remarks about the search. Gradient: none.
+
     Raises:
-      ValueError: in one sentence: a bad record, an unknown name or prior, an environment that is unstable at the
-        median of the priors, or no start whose simulation is valid.
+      ValueError: a bad record, an unknown name or prior, an environment that is unstable at the median of the priors,
+        or no start whose simulation is valid.
     """
     began = time.perf_counter()
     check_record(record)

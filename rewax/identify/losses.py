@@ -1,8 +1,7 @@
 """Losses between observed and simulated points: pure functions of one frame.
 
-A cloud has a fixed maximal size; ``mask`` is True for points that exist. Batch with ``jax.vmap``. All losses are in
-metres (squared where the docstring says so) and finite for coinciding points. Their gradients are exact. Where a
-nearest point changes, the gradient of a distance jumps.
+A cloud has a fixed maximal size; ``mask`` is True for points that exist. Batch with ``jax.vmap``. Losses of distances
+are Huber losses [m^2]: half the square up to ``delta``, linear beyond. Losses are finite for coinciding points.
 """
 
 import jax
@@ -48,6 +47,9 @@ def trimmed_mean(values: Array, mask: Array, trim: float = 0.0) -> Array:
     Returns:
       The mean, 0 if no value exists.
 
+    Raises:
+      ValueError: ``trim`` is not in [0, 1).
+
     Gradient: exact for the values that are kept.
     """
     if not 0.0 <= trim < 1.0:
@@ -77,7 +79,7 @@ def nearest_distances(points: Array, others: Array, mask: Array | None = None) -
 
 
 def one_sided_chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0, trim: float = 0.0) -> Array:
-    """Mean loss of the distances from seen points to the nearest particle, shape ().
+    """Mean Huber loss of the distances from seen points to the nearest particle [m^2], shape ().
 
     For clouds that show only a part of the body: particles that were not seen cost nothing.
 
@@ -86,20 +88,36 @@ def one_sided_chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Sca
       cloud: seen [m], shape (num_points, 3).
       mask: which seen points exist, shape (num_points,), bool.
       delta: distance beyond which the loss is linear instead of quadratic [m], see ``huber``.
-      trim: share of the largest losses that is left out.
+      trim: share of the largest losses that is left out, in [0, 1).
+
+    Raises:
+      ValueError: ``trim`` is not in [0, 1).
+
+    Gradient: exact. It jumps where another particle becomes the nearest.
     """
     return trimmed_mean(huber(nearest_distances(_seen(cloud, mask), particles), delta), mask, trim)
 
 
 def chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0, trim: float = 0.0) -> Array:
-    """``one_sided_chamfer`` plus the same from particles to seen points, shape (). For clouds of the whole body."""
+    """``one_sided_chamfer`` plus the same from particles to seen points [m^2], shape (). For clouds of the whole body.
+
+    Arguments, errors and gradient as for ``one_sided_chamfer``.
+    """
     back = huber(nearest_distances(particles, _seen(cloud, mask), mask), delta)
     everything = jnp.broadcast_to(mask.any(), back.shape)
     return one_sided_chamfer(particles, cloud, mask, delta=delta, trim=trim) + trimmed_mean(back, everything, trim)
 
 
 def matched(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0) -> Array:
-    """Mean loss of the distances between points of one index, shape (): for tracked markers. Arguments as above."""
+    """Mean Huber loss of the distances between points of one index [m^2], shape (): for tracked markers.
+
+    Arguments as for ``one_sided_chamfer``.
+
+    Raises:
+      ValueError: there are more seen points than particles.
+
+    Gradient: exact.
+    """
     if len(particles) < len(cloud):
         raise ValueError(
             f"there are {len(cloud)} seen points and {len(particles)} particles: give no more points than particles, "
@@ -117,15 +135,15 @@ def _seen(cloud: Array, mask: Array) -> Array:
 def occupancy(
     particles: Array, cloud: Array, mask: Array, *, lower: Array, spacing: Scalar, shape: tuple[int, int, int]
 ) -> Array:
-    """Mean squared difference of the shares of points in the cells of a grid, times the number of cells, shape ().
+    """Sum over the nodes of a grid of the squared difference of the shares of points [-], shape ().
 
-    Each point counts in the neighbouring cells with linear weights, so the gradient is not zero.
+    Each point counts at the eight nodes of its cell with linear weights. The sum is 0 if no seen point exists.
 
     Args:
       particles, cloud, mask: as in ``one_sided_chamfer``.
       lower: corner of the grid [m], shape (3,). Points outside count at the border.
       spacing: size of a cell [m].
-      shape: numbers of nodes (static).
+      shape: numbers of nodes along the axes (static).
 
     Gradient: exact; weights have kinks at nodes.
     """
@@ -148,7 +166,7 @@ def occupancy(
 
 
 def depth_picture(camera: Camera, world: World, seen: Array, *, delta: Scalar = 1.0) -> Array:
-    """Mean loss of the differences of depth over the pixels that see something in both pictures, shape ().
+    """Mean Huber loss of depth over the pixels that see something in both pictures [m^2], shape ().
 
     Args:
       camera: ``gradient=True`` gives derivatives.
@@ -167,7 +185,7 @@ def depth_picture(camera: Camera, world: World, seen: Array, *, delta: Scalar = 
 def over_time(losses: Array, weights: Array) -> Array:
     """Weighted mean of the losses of frames, shape (num_frames,) each; 0 if all weights are.
 
-    A frame with weight 0 has no part in it, even if its loss is not finite.
+    A frame with weight 0 has no part in it, even if its loss is not finite. Gradient: exact.
     """
     total = weights.sum()
     return (jnp.where(weights > 0, losses, 0.0) * weights).sum() / jnp.where(total > 0, total, 1.0)

@@ -69,7 +69,11 @@ class Record:
 
 
 def save(record: Record, path: str | Path) -> Path:
-    """Write a record, after its check; returns the path. ``.npz`` is appended to one that does not end so."""
+    """Write a record; returns the path. ``.npz`` is appended to one that does not end so.
+
+    Raises:
+      ValueError: ``check_record`` finds a fault.
+    """
     from rewax.identify.record_checks import check_record
 
     check_record(record)
@@ -86,7 +90,7 @@ def load(path: str | Path) -> Record:
     """Read and check a record.
 
     Raises:
-      ValueError: in one sentence: there is no such file, it is no record, or ``check_record`` finds a fault.
+      ValueError: there is no such file, it is no record, or ``check_record`` finds a fault.
     """
     from rewax.identify.record_checks import check_record
 

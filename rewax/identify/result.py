@@ -30,9 +30,9 @@ class Identified:
       undetermined: sentences about directions that the data leave open.
       remarks: sentences about what was cut off or failed on the way.
       times: of the frames [s], shape (T,).
-      residual_by_frame: of those starts [m], shape (T,).
+      residual_by_frame: residual of each frame, mean over the starts of ``latent`` [m], shape (T,).
       starts: the point that each start reached, shape (S, k).
-      costs: theirs, shape (S,).
+      costs: cost at each of these points, shape (S,).
       history: the best value of each unknown by iteration, shape (iterations, k).
       failed: number of simulations that failed and were rejected.
       seconds: wall clock of the search, compilation included.

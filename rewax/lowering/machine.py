@@ -41,8 +41,8 @@ _HEADER = Path(__file__).with_name("lanes.h")
 def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | None = None) -> Callable[..., T]:
     """``recomputed``, with its value, JVP and VJP interpreted by the machine on a CPU.
 
-    Under ``vmap`` the batch elements run in the lanes of vectors. A rule that is more than arithmetic at constant
-    indices and loops (sorting, for instance) is left to XLA. Without the machine, and on a GPU, all rules are.
+    Under ``vmap`` the batch elements run in the lanes of vectors. XLA runs a rule that is more than arithmetic at
+    constant indices and loops (sorting, for instance). Without the machine, and on a GPU, XLA runs all rules.
 
     Args:
       function, derivative_of: as for ``recomputed``, on small arrays of one floating type.

@@ -60,6 +60,10 @@ class Camera(struct.Replaceable):
       body: that carries the camera, an index; None: it stands still (static).
       noise: what ``see`` does to depth; None: nothing.
       gradient: whether the gradient flows from the picture into the world and the camera, see ``view`` (static).
+
+    Raises:
+      ValueError: an illegal number, a ``rotation`` that is none, or ``near`` not below ``far``. The message names the
+        field and the remedy.
     """
 
     position: Vector = struct.number(FINITE, "give a position in metres", shape=(3,))
@@ -110,7 +114,7 @@ class Camera(struct.Replaceable):
           up: direction that is upwards in the picture; not that of the view.
 
         Raises:
-          ValueError: eye and target are one point, or up is the direction of the view.
+          ValueError: eye and target are one point, up is the direction of the view, or one of them is traced.
         """
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((target, eye, up))):
             raise ValueError(

@@ -14,7 +14,7 @@ _MARGIN = 1.2
 
 
 def overlooking(middle: Any, size: float, *, up: Any, **fields: Any) -> Camera:
-    """A camera above the front and right of a place, which fills most of the picture.
+    """A camera above, in front and to the right of something, which then fills most of the picture. Gradient: none.
 
     The front is where z points to, or -y where z points up.
 
@@ -22,7 +22,10 @@ def overlooking(middle: Any, size: float, *, up: Any, **fields: Any) -> Camera:
       middle: of what is seen [m], shape (3,).
       size: of what is seen, along its longest side [m].
       up: unit vector against gravity, shape (3,).
-      **fields: of ``Camera``.
+      **fields: of ``Camera``; they replace ``near``, ``far`` and ``field_of_view``.
+
+    Raises:
+      ValueError: a field of ``Camera`` is illegal.
     """
     middle, up, across = np.asarray(middle, np.float32), np.asarray(up), np.float32(size)
     side = np.array([0.0, -1.0, 0.0]) if abs(up[2]) > 0.5 else np.array([0.0, 0.0, 1.0])

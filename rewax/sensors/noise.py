@@ -17,9 +17,12 @@ class DepthNoise(struct.Replaceable):
         and 0.0013: from 0.5 to 3 m this is within 12 % of 0.0012 + 0.0019 (depth - 0.4)^2 (Nguyen et al. 2012,
         "Modeling Kinect sensor noise for improved 3D reconstruction and tracking").
       step: depths are rounded to multiples of this [m]; 0: not.
-      edge_holes: probability that a pixel sees nothing beside which depth jumps by more than ``edge`` [-].
-      edge: [m].
+      edge_holes: probability that a pixel at an edge sees nothing [-].
+      edge: jump of depth to a neighbouring pixel above which there is an edge [m].
       dropout: probability that any pixel sees nothing [-].
+
+    Raises:
+      ValueError: a number is below 0, or a probability above 1.
     """
 
     constant: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres", default=0.0)
@@ -40,7 +43,7 @@ class DepthNoise(struct.Replaceable):
           far: depth of pixels that see nothing [m].
           key: for the draws.
 
-        Gradient: exact by depth; that of the steps is as if there were none, and zero where a pixel sees nothing.
+        Gradient: exact with respect to ``depth``; zero where a pixel sees nothing. Rounding passes it unchanged.
         """
         noise_key, edge_key, drop_key = jax.random.split(key, 3)
         seen = depth < far

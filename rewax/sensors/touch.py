@@ -35,7 +35,7 @@ class Touch(struct.Replaceable):
 
     Torques are about the origin of the body's frame; the mean of a body that turns uses its pose in each substep.
 
-    Gradient: exact, none by which point is nearest.
+    Gradient: exact; none by which point is nearest. ``gradient=False`` cuts it in ``see``.
     """
 
     bodies: tuple[int | str, ...] | None = struct.static_field(default=None)
@@ -115,7 +115,10 @@ class Touch(struct.Replaceable):
         return Wrench(*(turned(rotation, vector) for vector in world.felt))
 
     def see(self, world: World, key: Key) -> Array:
-        """Forces of all patches, then their torques, shape (6 * num_patches,); (3 * num_patches,) without torques."""
+        """Forces of all patches, then their torques, shape (6 * num_patches,); (3 * num_patches,) without torques.
+
+        Gradient: exact; cut with ``gradient=False``.
+        """
         del key
         force, torque = self.measure(world)
         seen = jnp.concatenate([force.reshape(-1), torque.reshape(-1)]) if self.torque else force.reshape(-1)
@@ -130,16 +133,21 @@ class Touch(struct.Replaceable):
 
 
 def octants(center: Any = (0.0, 0.0, 0.0)) -> Array:
-    """Points that divide a body into the eight octants around a point of its frame [m], shape (8, 3).
+    """Points that divide a body into octants around ``center`` [m], shape (3,), a point of its frame.
 
-    The last axis changes fastest: ---, --+, -+-, -++, +--, +-+, ++-, +++.
+    They lie 0.01 m from it along each axis, shape (8, 3). The last axis changes fastest: ---, --+, -+-, -++,
+    +--, +-+, ++-, +++.
     """
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
     return jnp.asarray(center) + 0.01 * jnp.asarray(signs)
 
 
 def touch_everywhere(task: Any) -> Touch:
-    """A sensor of the force and torque on each body of a task that can touch something."""
+    """A sensor of the force and torque on each body of a task that can touch something, without walls and the world.
+
+    Raises:
+      ValueError: the task feels no contact, or nothing in it can touch.
+    """
     return Touch().on(task)
 
 

@@ -121,6 +121,8 @@ def placed_colliders(colliders: Sequence[Collider], bodies: Pose, name: str = "t
       colliders: of a scene.
       bodies: poses of the bodies that carry them, shapes (num_bodies, 3), (num_bodies, 3, 3).
       name: of all.
+
+    Gradient: exact with respect to poses and sizes.
     """
     return tuple(Solid(shape=c.shape, pose=shape_pose(c, body_pose(bodies, c.body)), name=name) for c in colliders)
 
@@ -132,6 +134,8 @@ def half_space(normal: Sequence[float], height: Scalar, name: str) -> Solid:
       normal: unit vector that points out of it, shape (3,).
       height: distance of the plane from the origin along the normal [m], shape ().
       name: of the solid.
+
+    Gradient: exact with respect to ``height``; ``normal`` is a constant.
     """
     up = np.asarray(normal, float)
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])

@@ -98,7 +98,7 @@ IMPOSSIBLE = {
     ),
     "no yield stress": (
         {"material": {**SOLID, "plasticity": VonMises, "yield_stress": inf}},
-        "plasticity.yield_stress is inf, but must be positive and finite: give the von Mises yield stress in Pa",
+        "plasticity.yield_stress is inf, but must be positive and finite: give the norm of the stress deviator at yield in Pa",
     ),
     "material's name": (
         {"material": (flat_material(**SOLID), flat_material(**{**WATER, "density": 0.0})), "particle_counts": (1, 1)},

@@ -13,7 +13,17 @@ _IN_PA = "give a number of pascals"
 
 
 def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float = 0.2, density: float = 1.0) -> Material:
-    """Plasticine: Hencky's elasticity with a von Mises yield stress [Pa]; the default density is 1 kg/m^3."""
+    """Plasticine: Hencky's elasticity with the return map ``VonMises``.
+
+    Args:
+      youngs_modulus: E [Pa], > 0.
+      yield_stress: norm of the stress deviator at yield [Pa], > 0, see ``mpm.VonMises``.
+      poissons_ratio: nu [-], in (-1, 0.5).
+      density: [kg/m^3]; 1 is that of Rewarped's tasks.
+
+    Raises:
+      ValueError: Young's modulus or the yield stress is no positive number.
+    """
     number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
     number_option("yield_stress", yield_stress, remedy=_IN_PA)
     return Material(
@@ -24,7 +34,11 @@ def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float =
 
 
 def water(youngs_modulus: float) -> Material:
-    """The reference's water. Its bulk modulus is lambda of this Young's modulus [Pa] and Poisson's ratio 0.3."""
+    """Rewarped's water. Its bulk modulus is lambda of this Young's modulus [Pa] and Poisson's ratio 0.3.
+
+    Raises:
+      ValueError: the modulus is no positive number.
+    """
     number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
     return Material(density=1000.0, elasticity=QuadraticFluid(youngs_modulus=youngs_modulus, poissons_ratio=0.3))
 
@@ -81,7 +95,8 @@ def box_walls(
       lower, upper: x and z of the sides [m].
       ceiling: height of the ceiling [m], or None for none.
       floor_kind: by default particles on the floor do not move along it.
-      floor_friction: Coulomb coefficient of the floor [-], or None.
+      floor_friction: Coulomb coefficient of a floor of ``WallKind.SEPARATING`` [-]; None: none. With another kind
+        ``make_scene`` refuses it.
     """
     bottom = Wall(position=floor, kind=floor_kind, friction=floor_friction)
     return Walls(

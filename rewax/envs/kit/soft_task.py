@@ -66,7 +66,7 @@ class SoftTask(SoftBodyTask):
       num_substeps: substeps per control step (static).
       max_steps: control steps per episode (static).
       exact_limits: whether a joint that a limit stops has derivative 0 with respect to its previous position, which is
-        exact. If False, limits are frozen, as in the reference: that derivative is 1, and gradients of earlier actions
+        exact. If False, limits are frozen, as in Rewarped: that derivative is 1, and gradients of earlier actions
         are wrong (static).
       list_every: for particles, the substeps for which one list of active nodes serves, a divisor of num_substeps;
         None: a whole control step (static).

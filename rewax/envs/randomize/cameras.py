@@ -6,7 +6,7 @@ from rewax.envs.randomize.distributions import Distribution, Per, Scale, Shift, 
 def camera(
     name: str, *, position: float = 0.0, rotation: float = 0.0, zoom: float = 0.0
 ) -> dict[str, Distribution | Scale | Shift | Turn]:
-    """Draws that move a camera a little, for ``hook``. A camera on a robot is never where its drawing says.
+    """Draws that move a camera a little, for ``hook``: a real camera is never mounted exactly as designed.
 
     Args:
       name: of the camera among the parameters, as ``leaves`` lists them: ``"sensors[depth]"``,

@@ -36,6 +36,9 @@ class Distribution:
 
     Attributes:
       per: the parts of a parameter that get a number of their own.
+
+    Raises:
+      ValueError: a field is no number, or an illegal one. The message names class, field and remedy.
     """
 
     per: Per = dataclasses.field(default=Per.LEAF, kw_only=True)
@@ -48,7 +51,7 @@ class Distribution:
                 object.__setattr__(self, field.name, self._number(field.name, getattr(self, field.name)))
 
     def sample(self, key: Key, shape: tuple[int, ...], dtype: Any) -> Array:
-        """Independent draws. Gradient: none; the numbers of a distribution are constants."""
+        """Independent draws of this shape and dtype. Gradient: none; the numbers of a distribution are constants."""
         raise NotImplementedError
 
     @property

@@ -19,6 +19,11 @@ def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]
         and shapes without a ``draw`` of their own are left out if their values are traced or scikit-image is missing,
         which computes triangles from distances.
       bodies: poses of the bodies that carry them, shapes (num_bodies, 3), (num_bodies, 3, 3).
+
+    Raises:
+      ValueError: a collider belongs to a body that has no pose.
+
+    Gradient: exact with respect to poses and sizes; meshes are constants.
     """
     check_bodies(colliders, bodies.position.shape[0])
     found = []

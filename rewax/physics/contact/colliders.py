@@ -42,7 +42,7 @@ class Collider(struct.Replaceable):
       rotation: rotation from the shape's frame to the body's, shape (3, 3); by default the identity.
       friction: Coulomb coefficient [-], >= 0.
       softness: decay of the influence with distance [1/m], > 0; influence = min(exp(-softness * distance), 1). None:
-        log(10) / spacing, a reach of one cell, see ``with_softness``. The reference uses 666. Tetrahedra ignore it.
+        log(10) / spacing, a reach of one cell, see ``with_softness``. Rewarped uses 666. Tetrahedra ignore it.
       body: index of the body that carries it (static).
     """
 
@@ -107,6 +107,12 @@ def apply_colliders(
       velocity: node velocities [m/s], components of shape (num_nodes,).
       overlap: how they act together (static).
 
+    Returns:
+      Node velocities [m/s], components of shape (num_nodes,).
+
+    Raises:
+      ValueError: a softness is None, see ``with_softness``.
+
     Gradient: as for ``apply_collider``. With ``NEAREST`` two equally near colliders contribute the mean.
     """
     colliders = [(collider.replace(body=0), placed) for collider, placed in colliders]
@@ -140,6 +146,8 @@ def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collid
     Args:
       colliders: colliders of a scene.
       spacing: spacing of its grid [m].
+
+    Gradient: exact.
     """
     softness = -math.log(MIN_INFLUENCE) / (REACH_IN_CELLS * spacing)
     return tuple(c.replace(softness=softness) if c.softness is None else c for c in colliders)
@@ -169,6 +177,12 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
       velocity: node velocities [m/s], components of shape (num_nodes,).
       before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
       dt: duration of the substep [s].
+
+    Returns:
+      Node velocities [m/s], components of shape (num_nodes,).
+
+    Raises:
+      ValueError: the softness is None, see ``with_softness``.
 
     Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes; for u_n = 0 that of a
       node that leaves. The onset of contact at influence 0.1 is a step that no derivative sees.
@@ -290,7 +304,7 @@ def check_bodies(colliders: Sequence[Collider], num_bodies: int) -> None:
 
 
 def shape_pose(collider: Collider, body: Pose) -> Pose:
-    """Pose of a collider's shape, given its body's pose. Gradient: exact."""
+    """Pose of a collider's shape in the world, shapes (3,) and (3, 3), given its body's pose. Gradient: exact."""
     return placed_at(Pose(collider.offset, collider.rotation), body)
 
 

@@ -35,6 +35,10 @@ class Patches(struct.Replaceable):
     Attributes:
       body: the body of each patch, an index, or ``WALLS`` (static).
       center: in the frame of the patch's body [m], shape (num_patches, 3). None: each body has one patch.
+
+    Raises:
+      ValueError: no body, an index that is no integer, several patches of one body without ``center``, or a ``center``
+        of another shape.
     """
 
     body: tuple[int, ...] = struct.static_field()

@@ -60,6 +60,11 @@ def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> V
       ground: the plane.
       contact: the law.
       x, v: positions [m] and velocities [m/s], components of shape (num_vertices,).
+
+    Returns:
+      Force on each vertex [N], components of shape (num_vertices,).
+
+    Gradient: exact with respect to positions, velocities, ground and parameters; see ``penalty_force``.
     """
     shared, own = separated(contact)
     return _ground_force((ground, shared), (own, x, v))
@@ -85,6 +90,9 @@ def collider_force(
       before, after: pose of its body at the beginning and end of the substep, shapes (3,), (3, 3). Distance and normal
         are those at the beginning. The surface's velocity is the displacement of its point over dt.
       dt: duration of the substep [s].
+
+    Returns:
+      Force on each vertex [N], components of shape (num_vertices,).
 
     Gradient: exact with respect to positions, velocities, poses, sizes and parameters; see ``penalty_force``.
     """

@@ -90,11 +90,12 @@ def step(
       body's frame, shapes (num_bodies, 3). Contact conserves momentum.
 
     Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
-      ``colliders.apply_collider`` and ``penalty.penalty_force``). The backward pass stores soft body and robot at each
+      ``contact.apply_collider`` and ``contact.penalty_force``). The backward pass stores soft body and robot at each
       of the soft body's substeps.
 
     Raises:
-      ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
+      ValueError: ``scene.dt`` does not divide ``model.dt``; a shape does not fit; arrays differ in precision; cloth
+        that yields or has a ``stepper``.
     """
     return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, None, (pins, grips))[:3]
 
@@ -123,6 +124,9 @@ def step_with_touch(
       ``rigid.step_with_touch``.
 
     Gradient: exact, as for ``step``. None by which patch a contact point is nearest to.
+
+    Raises:
+      ValueError: as for ``step``, or a patch belongs to no body of the model.
     """
     check_patches(patches, model.num_bodies)
     return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, patches, (pins, grips))

@@ -63,18 +63,26 @@ def step(
       bodies: free bodies.
       poses: poses of the bodies with prescribed motion, shapes (num_substeps + 1, num_prescribed, ...). If there are no
         such bodies, give ``mpm.static_poses(num_substeps)``.
-      wrench: additional forces and torques on the free bodies, constant during the step; None: none.
+      wrench: additional force [N] and torque [N m] on each free body at its center of mass, world axes, constant in
+        the step, shape (num_free, 3) each; None: none.
       pins, grips: as for ``thin.step``.
       store_every: as for ``mpm.step``.
 
     Returns:
-      The soft body, the free bodies, and the mean force and torque of the soft body on every body (free ones first).
-      Only gravity, walls, ground, held vertices, ``wrench``, prescribed motion and the ``drag`` of cloth change the
-      total linear and angular momentum, and angular momentum also ``DampingLaw.VELOCITY_GRADIENT`` of tetrahedra, and
-      friction between layers of cloth and between cloth and particles.
+      The soft body, the free bodies, and the mean force [N] and torque [N m] of the soft body on every body, shape
+      (num_bodies, 3) each, free bodies first.
+
+    The total momentum changes only by gravity, walls, ground, held vertices, ``wrench``, prescribed motion and the
+    ``drag`` of cloth. Angular momentum also changes by ``DampingLaw.VELOCITY_GRADIENT`` of tetrahedra, and by friction
+    between layers of cloth and between cloth and particles.
 
     Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
-      ``colliders.apply_collider`` and ``penalty.penalty_force``).
+      ``contact.apply_collider`` and ``contact.penalty_force``).
+
+    Raises:
+      ValueError: scene, state, bodies, inertia, poses, pins, grips and ``wrench`` do not fit each other or differ in
+        precision; illegal mass properties; no substep; ``store_every`` does not divide the number of substeps; cloth
+        that yields or has a ``stepper``.
     """
     free_body.check_bodies(bodies)
     num_substeps, num_free = poses.position.shape[0] - 1, bodies.position.shape[0]

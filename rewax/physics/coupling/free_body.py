@@ -66,6 +66,8 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
     Raises:
       ValueError: a position of another shape (one body has shape (1, 3)), a number that is not finite, or a quaternion
         whose length is not 1.
+
+    Gradient: exact.
     """
     position = jnp.asarray(position)
     position = position.astype(jnp.result_type(float, position))
@@ -180,7 +182,13 @@ def _definite_numbers(inertia: Inertia) -> list[Number]:
 
 @checked(shapes=items(lambda name, shape: require_shape(shape, name), "give a tuple of shapes"))
 def inertia_of(shapes: tuple[Shape, ...], density: Scalar) -> Inertia:
-    """Mass properties of several homogeneous bodies, one per shape; see ``solid``."""
+    """Mass properties of several homogeneous bodies, one per shape, from their density [kg/m^3]; see ``solid``.
+
+    Raises:
+      ValueError: there are no shapes, or as for ``solid``.
+
+    Gradient: exact with respect to sizes and density.
+    """
     if len(shapes) == 0:
         raise ValueError("shapes is empty: give at least one shape")
     masses, moments = zip(*(solid(shape, density) for shape in shapes), strict=True)

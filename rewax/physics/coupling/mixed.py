@@ -215,10 +215,14 @@ STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
-    """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, or that was
-    pressed through nine tenths of the contact's thickness, ``INACTIVE_NODES`` for too short a list of nodes or a
-    particle that moved too far between two searches, all three in any step so far.
+    """Status bits of particles and cloth, and of their contact.
+
+    Besides those of ``mpm.check_status`` and ``thin.check_status``, remembered from all steps so far:
+
+    - ``FULL_PAIRS``: the list of close particles and triangles was full.
+    - ``CROSSED``: a particle may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``,
+      or was pressed through nine tenths of the contact's thickness.
+    - ``INACTIVE_NODES``: the list of nodes was too short, or a particle moved too far between two searches.
 
     Args:
       scene: the scene.

@@ -1,7 +1,7 @@
 """Contact of particles with the triangles of a cloth: one force law on both sides of the cloth, with friction.
 
 A particle at the distance D < h from the surface is pushed away from it, and the three corners of the closest triangle
-receive the opposite force with the weights of the closest point; ``thin.pair_law`` has the force. So forces sum to
+receive the opposite force with the weights of the closest point; ``thin.SelfContact`` has the force. So forces sum to
 zero, torques do too without friction, and without damping and friction the force is minus the gradient of an energy.
 
 The energy of one particle is the sum over triangles, minus the sum over inner edges, plus the sum over inner corners,
@@ -31,7 +31,7 @@ from rewax.types import Array, Scalar
 
 @struct.dataclass
 class ParticleContact(PairContact):
-    """Contact of particles with cloth.
+    """Contact of particles with cloth: the force of ``thin.SelfContact`` between a particle and the closest triangles.
 
     Attributes:
       thickness: distance between the middles of particle and cloth below which they touch [m].

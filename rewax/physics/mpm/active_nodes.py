@@ -56,7 +56,15 @@ def list_nodes(grid: Grid, x: Array, num_active: int, *, reach: float = 1.0) -> 
 
 
 def count_nodes(grid: Grid, x: Array, *, reach: float = 1.0) -> Array:
-    """Number of nodes that ``list_nodes`` must hold, shape (), int32."""
+    """Number of nodes that particles can touch in a step: the least ``max_active_nodes``, shape (), int32.
+
+    Args:
+      grid: all nodes.
+      x: particle positions at the beginning of the step [m], shape (num_particles, 3).
+      reach: cells that a particle may move along an axis within the step, 0.5 or 1.
+
+    Gradient: none.
+    """
     return jnp.sum(_columns(grid, x, reach)[1], dtype=jnp.int32)
 
 

@@ -27,6 +27,9 @@ class Grid:
       shape: nodes along x, y, z.
       spacing: distance of neighbouring nodes, the same along all axes [m].
       origin: position of node (0, 0, 0) [m].
+
+    Raises:
+      ValueError: fewer than 4 nodes along an axis, a spacing that is not positive, or an origin that is not finite.
     """
 
     shape: tuple[int, int, int]
@@ -41,6 +44,7 @@ class Grid:
 
     @property
     def num_nodes(self) -> int:
+        """Number of nodes of the box."""
         return math.prod(self.shape)
 
     @property

@@ -54,6 +54,10 @@ def predict_peak_bytes(
     The constants are fitted to XLA's allocations on CPUs, with the transfers that this process uses, C++ or JAX (jax
     0.10; tests hold the prediction to 15 %).
 
+    Raises:
+      ValueError: a count is no integer of at least 1, ``bytes_per_float`` is not 4 or 8, or ``store_every`` is None or
+        does not divide ``num_substeps``.
+
     Example:
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
       0.748

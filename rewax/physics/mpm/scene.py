@@ -177,10 +177,10 @@ def make_scene(
     particles can reach are stored. A particle may then move by at most ``reach`` cells, 1 or 0.5, within a step (not
     substep). This pays if a body fills little of its box. ``check_status`` reports a number that was too small.
 
-    With ``max_near_colliders`` only the nearest colliders to the particles are evaluated, so many of each run of
-    neighbours in the tuple with one kind of shape. This pays with many colliders: 1.5 times as fast with 20 capsules, 3
-    of them near. Given the step's poses, ``check_status`` reports a number that was too small. The two-way ``coupling``
-    evaluates all colliders.
+    With ``max_near_colliders`` only the colliders nearest to the particles are evaluated: this number of each run, that
+    is, of consecutive colliders with one kind of shape. This pays with many colliders: 1.5 times as fast with 20
+    capsules, 3 of them near. Given the step's poses, ``check_status`` reports a number that was too small. The two-way
+    ``coupling`` evaluates all colliders.
 
     Raises:
       ValueError: an illegal value (not finite; a modulus, density, volume, size or softness that is not positive;
@@ -236,6 +236,12 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
       material: stiffness, viscosity and density.
       grid: its spacing.
       max_speed: largest expected particle speed [m/s].
+
+    Returns:
+      Seconds, shape (), or (num_particles,) for parameters per particle.
+
+    Raises:
+      ValueError: ``max_speed`` is below 0, or an argument is of another class.
 
     Gradient: exact.
     """

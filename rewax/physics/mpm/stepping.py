@@ -72,8 +72,12 @@ def substep(
       before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
       nodes: active nodes, if known from the step's start (``nodes_of_step``); None: computed here.
 
-    Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
+    Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse. The onset of
+      a node's contact is a step that no derivative sees, see ``contact.apply_collider``.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
+
+    Raises:
+      ValueError: the state or the poses do not fit the scene.
     """
     check_state(scene, state)
     check_bodies(scene.colliders, before.position.shape[0])
@@ -94,7 +98,10 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
         substeps, and everything else is recomputed (once for k = 1, twice for larger k). None: everything, which is
         fastest and takes most memory.
 
-    Gradient: exact, as for ``substep``.
+    Gradient: exact, as for ``substep``. Source: as for ``substep``.
+
+    Raises:
+      ValueError: as for ``substep``; ``store_every`` does not divide the substeps; state and scene differ in precision.
     """
     check_state(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
@@ -171,7 +178,10 @@ def check_status(
 
 @checked(scene=SCENE, state=STATE)
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
-    """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
+    """Elastic deformation gradient [-] and Kirchhoff stress [Pa] after the pending return map, (num_particles, 3, 3).
+
+    Gradient: exact.
+    """
     deformed = respond_particles(scene, state)
     return deformed.F, deformed.stress
 
@@ -325,7 +335,7 @@ def _free(unit: float, dt: Scalar, gravity: Array, has_mass: Array, fields: Grid
 
 
 def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
-    """The active nodes of the step that starts at positions x (num_particles, 3)."""
+    """The active nodes of the step that starts at positions x [m], shape (num_particles, 3). Gradient: none."""
     if scene.max_active_nodes is None:
         return all_nodes(scene.grid, x.dtype)
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)

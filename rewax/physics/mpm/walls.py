@@ -39,7 +39,11 @@ class Wall:
     Attributes:
       position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
       kind: effect on the node velocities (static).
-      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0. With None, friction is not traced.
+      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0; None: none. Gradient: exact.
+
+    Raises:
+      ValueError: a position that is not finite or is traced, or no ``WallKind``. ``make_scene`` refuses a wall that
+        acts on all nodes or on none, and the friction of a wall of another kind.
     """
 
     position: float = struct.static_field()

@@ -23,7 +23,9 @@ class Legal(NamedTuple):
     """The finite numbers between two limits."""
 
     low: float = -math.inf
+    """Lower limit; illegal itself, unless ``closed``."""
     high: float = math.inf
+    """Upper limit; illegal itself."""
     closed: bool = False
     """Whether ``low`` itself is legal."""
 
@@ -45,9 +47,13 @@ class Legal(NamedTuple):
 _SMALL = 1024
 """Arrays up to this size are concatenated before they are compared."""
 POSITIVE = Legal(low=0.0)
+"""Finite numbers above 0."""
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
+"""Finite numbers of at least 0."""
 FINITE = Legal()
+"""All finite numbers."""
 PROBABILITY = Legal(low=0.0, high=1.0 + 2.0**-23, closed=True)  # the next number of float32: 1 itself is legal
+"""Numbers from 0 to 1."""
 GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
 """The remedy in messages about gravity."""
 
@@ -56,9 +62,11 @@ class Number(NamedTuple):
     """A field that holds a number or an array of them."""
 
     name: str
+    """Its name in messages."""
     value: Any
     legal: Legal
     remedy: str
+    """The end of messages: what to give instead."""
     shape: tuple[int | str, ...] | None = None
     """The shape that the value must have, with a name for each axis of any length; None: any shape."""
 

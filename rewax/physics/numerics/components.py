@@ -52,22 +52,27 @@ def vector(f) -> Vec3:
 
 
 def dot(a: Vec3, b: Vec3) -> Array:
+    """The inner product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vec3, b: Vec3) -> Vec3:
+    """The cross product a x b."""
     return vector(lambda i: a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3])
 
 
 def add(a: Vec3, b: Vec3) -> Vec3:
+    """a + b."""
     return vector(lambda i: a[i] + b[i])
 
 
 def subtract(a: Vec3, b: Vec3) -> Vec3:
+    """a - b."""
     return vector(lambda i: a[i] - b[i])
 
 
 def scale(s: Scalar, a: Vec3) -> Vec3:
+    """s a, for a number or an array s."""
     return vector(lambda i: s * a[i])
 
 
@@ -96,18 +101,22 @@ def unit(a: Vec3) -> tuple[Array, Vec3]:
 
 
 def add_matrices(a: Mat3, b: Mat3) -> Mat3:
+    """a + b."""
     return matrix(lambda i, j: a[i][j] + b[i][j])
 
 
 def transpose(a: Mat3) -> Mat3:
+    """The transpose of a."""
     return matrix(lambda i, j: a[j][i])
 
 
 def matmul(a: Mat3, b: Mat3) -> Mat3:
+    """The matrix product a b."""
     return matrix(lambda i, j: a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j])
 
 
 def matvec(a: Mat3, b: Vec3) -> Vec3:
+    """The product a b of a matrix and a vector."""
     return vector(lambda i: dot(a[i], b))
 
 
@@ -122,4 +131,5 @@ def cofactor(a: Mat3) -> Mat3:
 
 
 def det(a: Mat3) -> Array:
+    """The determinant of a."""
     return dot(a[0], cross(a[1], a[2]))

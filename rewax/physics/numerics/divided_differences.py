@@ -91,11 +91,13 @@ def chain(p: Principal, values: Vec3, difference: Callable[[int, int], Array]) -
 
 
 def add(p: Principal, q: Principal) -> Principal:
+    """p + q."""
     both = None if p.differences is None or q.differences is None else cp.add(p.differences, q.differences)
     return Principal(cp.add(p.values, q.values), both)
 
 
 def scale(a: Scalar, p: Principal) -> Principal:
+    """a p, for a number or an array a."""
     return Principal(cp.scale(a, p.values), None if p.differences is None else cp.scale(a, p.differences))
 
 
@@ -105,6 +107,7 @@ def shift(p: Principal, a: Scalar) -> Principal:
 
 
 def multiply(p: Principal, q: Principal) -> Principal:
+    """p q, value by value."""
     a, b = p.values, q.values
     values = cp.vector(lambda i: a[i] * b[i])
     if p.differences is None or q.differences is None:
@@ -159,6 +162,7 @@ def log(p: Principal) -> Principal:
 
 
 def exp(p: Principal) -> Principal:
+    """Exponential function."""
     values = cp.vector(lambda i: jnp.exp(p.values[i]))
 
     def difference(i: int, j: int) -> Array:

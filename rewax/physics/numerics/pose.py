@@ -33,12 +33,27 @@ def placed_at(mount: Pose, body: Pose) -> Pose:
 
 
 def body_pose(poses: Pose, body: int) -> Pose:
-    """Pose of one body, given those of all, shapes (num_bodies, 3), (num_bodies, 3, 3)."""
+    """Pose of one body, shapes (3,) and (3, 3), from those of all, shapes (num_bodies, 3) and (num_bodies, 3, 3).
+
+    Gradient: exact.
+    """
     return Pose(poses.position[body], poses.rotation[body])
 
 
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
-    """Poses of bodies that stay at the origin for all boundaries of substeps."""
+    """Poses of bodies that stay at the origin, at the boundaries of substeps.
+
+    Args:
+      num_substeps: number of substeps, >= 0.
+      num_bodies: number of bodies, >= 0.
+      dtype: of the arrays; None: JAX's default float type.
+
+    Returns:
+      Poses of shapes (num_substeps + 1, num_bodies, 3) and (num_substeps + 1, num_bodies, 3, 3).
+
+    Raises:
+      ValueError: a number is no integer or below 0.
+    """
     num_substeps = static_integer("num_substeps", num_substeps, 0, "give the number of substeps")
     num_bodies = static_integer("num_bodies", num_bodies, 0, "give the number of bodies")
     shape = (num_substeps + 1, num_bodies)

@@ -71,7 +71,7 @@ def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
     Args:
       q: unit quaternion, shape (..., 4).
       angular_velocity: in the world's frame [rad/s], shape (..., 3).
-      dt: duration [s]; the angle is accurate to third order in |angular_velocity| dt.
+      dt: duration [s]. The angle is 2 atan(a / 2) for a = |angular_velocity| dt: about a^3 / 12 [rad] too small.
 
     Returns:
       Unit quaternion, shape (..., 4): q + dt/2 (0, angular_velocity) q, normalised.

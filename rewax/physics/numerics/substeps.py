@@ -20,6 +20,9 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
       store_every: the backward pass stores the carry every ``store_every`` substeps, a divisor of num_substeps; None:
         it stores everything.
 
+    Raises:
+      ValueError: ``store_every`` is no integer that divides num_substeps.
+
     Gradient: exact.
     """
     num_substeps = jax.tree.leaves(intervals)[0].shape[0]

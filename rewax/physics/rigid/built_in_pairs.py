@@ -59,6 +59,7 @@ BUILT_IN_PAIRS = (
     ContactPair(("capsule", "box"), 2, _capsule_box),
     ContactPair(("box", "box"), MOST, _box_box),
 )  # fmt: skip
+"""Pairs that rewax collides itself; with a ``Penalty`` only plane and box."""
 UNDER_A_PENALTY = tuple(pair for pair in BUILT_IN_PAIRS if pair.kinds == ("plane", "box"))
 """Built-in pairs under a penalty law. ``forces.contacts`` collides explicit pairs of other kinds, and MJX the rest."""
 

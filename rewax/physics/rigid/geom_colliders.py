@@ -47,7 +47,10 @@ def colliders(
 
     Raises:
       ValueError: a geom is a plane (use a wall or a ground), a height field or another kind without a distance; meshes
-        without ``mesh_spacing``.
+        without ``mesh_spacing``; an illegal friction, softness or spacing.
+
+    Gradient: exact with respect to ``friction``, ``softness`` and the model's ``geom_size``, ``geom_pos``,
+      ``geom_quat`` and ``geom_friction``; none with respect to the size of a mesh.
 
     Example:
       >>> model = rigid.load("hand.xml", dt=1e-3)  # doctest: +SKIP
@@ -80,7 +83,13 @@ def colliders(
 
 
 def poses(model: RigidModel, qpos: Array) -> Pose:
-    """Poses of all bodies for joint positions of shape (..., num_positions): (..., num_bodies, 3), (..., 3, 3).
+    """Poses of all bodies for joint positions [m, rad] of shape (..., num_positions).
+
+    Returns:
+      Positions [m], shape (..., num_bodies, 3), and rotations, shape (..., num_bodies, 3, 3).
+
+    Raises:
+      ValueError: ``qpos`` has another shape or holds no real numbers.
 
     Gradient: exact.
     """

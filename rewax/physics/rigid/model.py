@@ -118,14 +118,17 @@ class RigidModel(struct.Replaceable):
 
     @property
     def num_positions(self) -> int:
+        """Length of ``qpos``: MuJoCo's ``nq``."""
         return self.static.mj.nq
 
     @property
     def num_dofs(self) -> int:
+        """Length of ``qvel``: MuJoCo's ``nv``."""
         return self.static.mj.nv
 
     @property
     def num_actuators(self) -> int:
+        """Length of ``ctrl``: MuJoCo's ``nu``."""
         return self.static.mj.nu
 
     @property
@@ -140,7 +143,7 @@ class RigidModel(struct.Replaceable):
 
     @property
     def home(self) -> Array:
-        """Joint positions of the model's first keyframe, else its reference pose, shape (num_positions,)."""
+        """Joint positions [m, rad] of the first keyframe, else of the reference pose, shape (num_positions,)."""
         mj = self.static.mj
         return jnp.asarray(mj.key_qpos[0] if mj.nkey else mj.qpos0, self.parameters["qpos0"].dtype)
 
@@ -151,6 +154,8 @@ class RigidModel(struct.Replaceable):
           ValueError: there is no such parameter, its shape differs, a value is illegal (not finite; a mass, size or
             friction below 0; a range whose lower limit is the larger one), the model was loaded without the damping or
             dry friction to change, or a size cannot change.
+
+        Gradient: exact.
         """
         for name, value in changes.items():
             if name not in self.parameters:
@@ -209,7 +214,8 @@ class RigidModel(struct.Replaceable):
           quaternion: orientations (w, x, y, z) of any length above 0, shape (num_mocap, 4); None: unchanged.
 
         Raises:
-          ValueError: a shape differs, a value is not finite, or the model has no mocap bodies.
+          ValueError: a shape differs, a value is not finite, a quaternion has length 0, or the model has no mocap
+            bodies.
 
         Gradient: exact with respect to both arguments.
         """
@@ -232,15 +238,16 @@ class RigidModel(struct.Replaceable):
         return self.replace(parameters={**self.parameters, **moved})
 
     def body(self, name: str) -> int:
-        """Id of the body with this name."""
+        """Id of the body with this name. Raises ValueError, with the known names, if there is none."""
         return mjcf.number(self.static.mj, "body", name)
 
     def geom(self, name: str) -> int:
-        """Id of the geom with this name."""
+        """Id of the geom with this name. Raises ValueError, with the known names, if there is none."""
         return mjcf.number(self.static.mj, "geom", name)
 
     def joint(self, name: str) -> tuple[int, int]:
-        """Offsets of a joint's coordinates in qpos and in qvel."""
+        """Offsets of a joint's coordinates in qpos and in qvel. Raises ValueError, with the known names, if there is
+        no such joint."""
         joint = mjcf.number(self.static.mj, "joint", name)
         return int(self.static.mj.jnt_qposadr[joint]), int(self.static.mj.jnt_dofadr[joint])
 
@@ -289,8 +296,9 @@ def load(
 
     Raises:
       ValueError: the model cannot be read or has an unsupported feature; the message names it and an override that
-        helps. An override is unknown or has an illegal value. A contact pair is not as ``ContactPair`` requires, or two
-        have the same kinds.
+        helps. An override is unknown or has an illegal value. dt is not positive. The penalty law has an illegal
+        number, or is unstable at this dt. A contact pair is not as ``ContactPair`` requires, or two have the same
+        kinds.
 
     Example:
       >>> model = rigid.load("humanoid.xml", integrator="implicitfast", cone="pyramidal")  # doctest: +SKIP

@@ -18,6 +18,7 @@ class Overrides(TypedDict, total=False):
     """Options of MuJoCo's model, by their names in MJCF."""
 
     integrator: Literal["Euler", "implicitfast"]
+    """Time integrator, see ``step``."""
     cone: Literal["pyramidal", "elliptic"]
     """Friction cone. Elliptic cones need a ``Penalty``, which ignores the option."""
     gravity: Sequence[float]

@@ -23,14 +23,24 @@ from rewax.types import Array
 
 
 def body_poses(model: RigidModel, state: RigidState) -> Pose:
-    """Origin and orientation of every body's frame, shapes (num_bodies, 3) and (num_bodies, 3, 3). Gradient: exact."""
+    """Origin [m] and orientation of every body's frame, shapes (num_bodies, 3) and (num_bodies, 3, 3).
+
+    Gradient: exact.
+
+    Raises:
+      ValueError: the state is not one of this model.
+    """
     check_state(model, state)
     kin = kinematics(model, state.qpos)
     return Pose(kin.position, kin.rotation)
 
 
 def geom_poses(model: RigidModel, state: RigidState) -> Pose:
-    """Center and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
+    """Center [m] and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact.
+
+    Raises:
+      ValueError: the state is not one of this model.
+    """
     check_state(model, state)
     kin = kinematics(model, state.qpos)
     return attached(kin, model.static.mj.geom_bodyid, model.parameters["geom_pos"], model.parameters["geom_quat"])
@@ -40,6 +50,9 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
     """Velocity of each body's origin [m/s] and angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
 
     Gradient: exact.
+
+    Raises:
+      ValueError: the state is not one of this model.
     """
     check_state(model, state)
     kin = kinematics(model, state.qpos)
@@ -48,7 +61,11 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
 
 
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
-    """Center of mass of each body's subtree [m], shape (num_bodies, 3); row 0: of all bodies. Gradient: exact."""
+    """Center of mass of each body's subtree [m], shape (num_bodies, 3); row 0: of all bodies. Gradient: exact.
+
+    Raises:
+      ValueError: the state is not one of this model.
+    """
     check_state(model, state)
     return kinematics(model, state.qpos).subtree_com
 
@@ -58,6 +75,11 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
 
     Height fields and geoms of ``type="sdf"`` are left out. Geoms of groups 3 to 5, which MuJoCo's viewer hides, are
     left out if their body has other geoms. Every call returns the same NumPy arrays for meshes.
+
+    Gradient: exact with respect to positions and sizes; meshes are constants.
+
+    Raises:
+      ValueError: the state is not one of this model.
     """
     check_state(model, state)
     pose, found = geom_poses(model, state), []
@@ -137,9 +159,9 @@ def contact_distances(model: RigidModel, state: RigidState, *, body: str | None 
       body: name of a body; pairs without it get distance 1. None: all pairs.
 
     Raises:
-      ValueError: there is no such body. The message lists the known names.
+      ValueError: the state is not one of this model, or there is no such body. The message lists the known names.
 
-    Gradient: that of ``collide``.
+    Gradient: that of the contact functions, see ``ContactPair``; MJX's own for kinds that MJX collides.
     """
     check_state(model, state)
     m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))

@@ -31,12 +31,12 @@ class Penalty(struct.Replaceable):
       stiffness: normal force per penetration [N/m].
       damping: normal force per approaching speed [N s/m].
       friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m]. 0: no friction, whatever
-        the geoms' coefficients, and no gradient by these.
+        the geoms' coefficients, and no gradient with respect to them.
       onset: depth over which both dampings rise to their full value [m]. 0: at once, a jump in time that gradients do
         not see.
       depth_damping: additional normal force per depth and approaching speed [N s/m^2].
-      limit_stiffness, limit_damping: torque of a joint limit per angle or distance beyond it, and per rate [N m/rad,
-        N m s/rad].
+      limit_stiffness, limit_damping: torque or force of a joint limit per angle or distance beyond it [N m/rad, N/m],
+        and per rate [N m s/rad, N s/m].
       among: contact law between bodies of one tree; its ``limit_*`` are ignored. None: this law.
       at_surfaces: where a contact acts (static). False: halfway between the two surfaces. True: on each body at its own
         surface, the deepest point of its shape, as in NVIDIA Warp. Friction between two bodies then exerts an

@@ -47,7 +47,9 @@ def initial_state(
     """A state with given positions and velocities; by default the model's home at rest. Activations are zero.
 
     Raises:
-      ValueError: a shape differs from the model's, or a value is not finite.
+      ValueError: a shape differs from the model's, a value is not finite, or a quaternion has length 0.
+
+    Gradient: exact.
     """
     check_instance("model", model, RigidModel, "give a model that rigid.load returned")
     dtype = model.parameters["qpos0"].dtype
@@ -79,7 +81,10 @@ def step(
     wrenches: Array | None = None,
     num_substeps: int = 1,
 ) -> RigidState:
-    """The state ``num_substeps`` substeps of ``model.dt`` later, with MuJoCo's semi-implicit Euler.
+    """The state ``num_substeps`` substeps of ``model.dt`` later, with the model's integrator.
+
+    ``Euler`` is semi-implicit, and implicit in the damping of joints. ``implicitfast`` is implicit in all damping (of
+    joints, tendons and actuators) and in the gyroscopic terms of single free bodies.
 
     Args:
       model: bodies, actuators, contact law.
@@ -93,6 +98,9 @@ def step(
       parameters. The reverse derivative stores one state per substep. Zero through ``qacc`` and saturated controls. The
       derivative assumes that the solver has converged. Its limit is the model's ``iterations``, but at least 50; where
       it does not suffice, ``check_status`` sets ``Status.UNSOLVED``.
+    Source: MuJoCo's ``mj_Euler`` and ``mj_implicit``; CRBA and RNEA: Featherstone 2008, "Rigid Body Dynamics
+      Algorithms"; constraint forces: Todorov 2014, "Convex and analytically-invertible dynamics with contacts and
+      constraints", section IV. Deviation: the solver has its own line search.
 
     Raises:
       ValueError: a shape differs from the model's, an argument is not a number, or the model or the state has another

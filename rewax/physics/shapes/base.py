@@ -157,7 +157,7 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
       Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
 
     Raises:
-      ValueError: shape is no ``Shape``.
+      ValueError: shape is no ``Shape``, or points are no numbers of shape (..., 3).
 
     Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the centre of a
       ball, the axis of a capsule) the normal is not defined: there it is zero, or the mean of the normals around (on

@@ -48,7 +48,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
         without area; a spacing or margin that is not positive; too many nodes. The message names the remedy.
       ImportError: a path is given and trimesh is not installed.
 
-    Gradient: none with respect to the mesh; ``sampled_distance`` is differentiable with respect to the values.
+    Gradient: none with respect to the mesh. ``SampledDistance.distance`` has one with respect to the values.
 
     Example:
       >>> shape = bake_mesh("bunny.stl", spacing=0.01)  # doctest: +SKIP

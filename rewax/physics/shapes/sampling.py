@@ -41,6 +41,9 @@ def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence
     Returns:
       Positions [m], shape (num, 3).
 
+    Raises:
+      ValueError: a center or size that is not three finite numbers, a size below 0, a num below 1, or no PRNG key.
+
     Gradient: exact with respect to center and size, which shift and scale the points.
 
     Example:
@@ -73,7 +76,9 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       Positions [m], float64 of shape (num_points, 3), z varying fastest.
 
     Raises:
-      ValueError: a spacing or an edge that is not positive.
+      ValueError: a spacing or an edge that is not positive, or a center that is not finite.
+
+    Gradient: none.
 
     Example:
       >>> fill_box((0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 0.1).shape
@@ -99,6 +104,8 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
 
     Raises:
       ValueError: a spacing that is not positive or too large for any point, or a shape without bounds.
+
+    Gradient: none.
 
     Example:
       >>> x = fill(Sphere(radius=0.1), 0.02)

@@ -18,7 +18,7 @@ class DampingLaw(enum.Enum):
     """The rate that is damped, in addition to the change of volume."""
 
     VELOCITY_GRADIENT = "velocity gradient"
-    """dF/dt, as in the reference. It damps rigid rotation too: torque = 2 damping volume angular velocity."""
+    """dF/dt, as in NVIDIA Warp. It damps rigid rotation too: torque = 2 damping volume angular velocity."""
     STRAIN_RATE = "strain rate"
     """The rate of the Green strain. Rigid motion is undamped, and angular momentum is conserved."""
 
@@ -66,7 +66,7 @@ def small_strain_moduli(mu: Scalar, lam: Scalar) -> SmallStrainModuli:
     """Young's modulus and Poisson's ratio of the law at small strains; inverse of ``stable_parameters``.
 
     The stress of F = I + H is 3/4 mu (H + H^T) + (lam - 5/8 mu) tr(H) I to first order, so Lame's parameters are
-    3/4 mu and lam - 5/8 mu. The bulk modulus is lam - mu/8, so stability needs lam > mu/8. The reference's mu = lam =
+    3/4 mu and lam - 5/8 mu. The bulk modulus is lam - mu/8, so stability needs lam > mu/8. Rewarped's mu = lam =
     1000 Pa correspond to E = 1750 Pa, nu = 1/6.
 
     Gradient: exact.

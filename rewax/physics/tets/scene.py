@@ -146,7 +146,8 @@ def make_scene(
       mesh: vertices at rest and tets.
       density: [kg/m^3], shape () or (num_tets,).
       held: vertices that keep their velocity (0 if they start at rest): indices, or a mask of shape (num_vertices,).
-      others: the fields of ``TetScene``.
+
+    All arguments but ``mesh``, ``density`` and ``held`` are fields of ``TetScene``.
 
     Raises:
       ValueError: a mesh that ``check_tetmesh`` rejects, an illegal value (not finite; a modulus, density or size that

@@ -57,7 +57,7 @@ def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetS
       before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
 
     Gradient: exact with respect to the state, the poses and every array of the scene, forward and reverse; one-sided at
-      the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
+      the onset of contact and at Coulomb's limit, see ``contact.penalty_force``.
     Source: the soft meshes of NVIDIA Warp's semi-implicit integrator. Deviation: damping, see ``law``.
     """
     check_vertices(scene, state)
@@ -77,7 +77,11 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
       store_every: as for ``mpm.step``: the backward pass stores vertices every ``store_every`` substeps and recomputes
         the rest; None: it stores everything.
 
-    Gradient: exact, as for ``substep``.
+    Gradient: exact, as for ``substep``. Source: as for ``substep``.
+
+    Raises:
+      ValueError: the state or the poses do not fit the scene, ``store_every`` does not divide the number of substeps,
+        or state and scene differ in precision.
     """
     check_vertices(scene, state)
     check_bodies(scene.colliders, poses.position.shape[1])
@@ -103,7 +107,10 @@ def internal_force(scene: TetScene, state: TetState) -> Array:
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
-    """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
+    """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``.
+
+    Gradient: exact, see ``contact.penalty_force``.
+    """
     check_vertices(scene, state)
     check_bodies(scene.colliders, before.position.shape[0])
     return cp.join_vector(contact_forces(scene, *split(state), (before, after)))

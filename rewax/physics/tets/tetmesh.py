@@ -88,6 +88,9 @@ def box(
       center: middle of the box [m].
       tets_per_cell: 5 or 6, see ``cells``.
 
+    Raises:
+      ValueError: a size that is not positive, a count below 1, or another number of tets per cell.
+
     Example:
       >>> mesh = box((2.0, 1.0, 1.0), (4, 2, 2))
       >>> len(mesh.vertices), len(mesh.tets), mesh.volume
@@ -118,6 +121,9 @@ def voxels(
       spacing: edge of a cube [m], > 0.
       corner: lower corner of the cube with index (0, 0, 0) [m].
       tets_per_cell: 5 or 6, see ``cells``.
+
+    Raises:
+      ValueError: no cube is occupied, a spacing that is not positive, or another number of tets per cell.
     """
     occupied = np.asarray(occupied, bool)
     lines = [c + spacing * np.arange(n + 1) for c, n in zip(corner, occupied.shape, strict=True)]
@@ -177,7 +183,7 @@ def soft_jumper_table() -> TetMesh:
     layer of cells, each two cubes high and divided into six tets. The vertical edges on the slab's rim are then split
     in the middle. No vertex lies inside the slab.
 
-    Source: the reference's extents, counts and volume. Its decomposition is not published.
+    Source: Rewarped's extents, counts and volume. Its decomposition is not published.
     """
     h = TABLE_CELL
     occupied = np.zeros((7, 4, 7), bool)

@@ -1,13 +1,7 @@
 """Grasps: vertices that a body holds while a number says so.
 
-A grasp ties each vertex x that it may hold to a point a of its body's frame, with a share w in [0, 1]. With the grip g
-in [0, 1], the body's position p and rotation R, and the velocity s of the body's material point at x, the force on the
-vertex is
-
-    f = g w (stiffness (p + R a - x) + damping (s - v)),
-
-and the body feels -f at x. The points and the shares follow the vertices while the grasp is open, and stay while it is
-closed:
+``Grasp`` has the force and its symbols. Points a and shares w follow the vertices while the grasp is open, and stay
+while it is closed:
 
     da/dt = (1 - g)^4 / slip_time (R^T (x - p) - a),    dw/dt = (1 - g)^4 / slip_time (reached - w).
 
@@ -42,7 +36,14 @@ if TYPE_CHECKING:
 
 @struct.dataclass
 class Grasp(struct.Replaceable):
-    """A gripper on a body. ``step`` takes its grip, 0 for open to 1 for closed, as one entry of ``grips``.
+    """A gripper on a body. ``step`` takes its grip g, 0 for open to 1 for closed, as one entry of ``grips``.
+
+    A grasp ties each vertex x that it may hold to a point a of its body's frame, with a share w in [0, 1]. With the
+    body's position p and rotation R, and the velocity s of the body's material point at x, the force on the vertex is
+
+        f = g w (stiffness (p + R a - x) + damping (s - v)),
+
+    and the body feels -f at x. Points and shares of an open grasp follow the vertices; those of a closed one stay.
 
     Attributes:
       radius: distance from the center up to which vertices are held [m]; None: all of ``vertices`` at any distance.

@@ -28,6 +28,14 @@ class Implicit:
       gradient_tolerance: the same for derivatives [-]. Their error is larger by the conditioning of the linear system:
         at 1e-6 it is below 1e-4 of the gradient on a sheet with a Young's modulus of 10 MPa and steps of 5 ms, in
         double precision.
+
+    Scenes with grasps and ``coupling`` refuse it.
+
+    Gradient: that of a converged step, see ``thin.step``.
+    Source: Gast et al. 2015, "Optimization integrator for large time steps".
+
+    Raises:
+      ValueError: a number is not positive, or a number of iterations is no integer.
     """
 
     tolerance: float = 1e-3

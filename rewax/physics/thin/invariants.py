@@ -43,12 +43,19 @@ def gravitational_energy(scene: ThinScene, state: ThinState) -> Array:
 
 
 def momentum(scene: ThinScene, state: ThinState) -> Array:
-    """Linear momentum [kg m/s], shape (3,): constant without gravity, drag, contact and held vertices."""
+    """Linear momentum [kg m/s], shape (3,). Gradient: exact.
+
+    It is constant without gravity, drag, ground, colliders, grasps and held vertices.
+    """
     return jnp.sum(scene.mass[:, None] * state.v, axis=0)
 
 
 def angular_momentum(scene: ThinScene, state: ThinState) -> Array:
-    """Angular momentum about the origin [kg m^2/s], shape (3,): constant under the conditions of ``momentum``."""
+    """Angular momentum about the origin [kg m^2/s], shape (3,). Gradient: exact.
+
+    With explicit steps it is constant under the conditions of ``momentum``, if self-contact has no friction. Implicit
+    Euler changes it at a rate proportional to dt.
+    """
     return jnp.sum(scene.mass[:, None] * jnp.cross(state.x, state.v), axis=0)
 
 

@@ -88,12 +88,18 @@ def isotropic_cloth(
     """The material of a thin plate in plane stress, at small strains.
 
     Args:
-      youngs_modulus: E [Pa]. poissons_ratio: nu [-]. thickness: h [m]. density: [kg/m^3].
-      damping: Kelvin-Voigt time [s].
+      youngs_modulus: E [Pa], > 0.
+      poissons_ratio: nu [-], in (-1, 0.5).
+      thickness: h [m], > 0.
+      density: [kg/m^3], > 0.
+      damping: Kelvin-Voigt time [s], >= 0.
 
     Returns:
       warp = weft = E h / (1 - nu^2), coupling = nu warp, shear = E h / (2 (1 + nu)), bending = E h^3 / (12 (1 - nu^2)),
       bending_ratio = nu. They are legal for both laws. Gradient: exact.
+
+    Raises:
+      ValueError: an illegal number, except ``damping``, which ``make_scene`` checks.
     """
     warp = youngs_modulus * thickness / (1.0 - poissons_ratio**2)
     return Cloth(

@@ -1,16 +1,10 @@
 """The contact law of cloth and ropes with themselves: a smooth repulsion of close pairs of elements, with friction.
 
-A pair is a vertex and a triangle, or two segments. It touches where its distance D is below the thickness h. With the
-depth c = h - D, the onset o = h/4, and v_n and v_t the normal and tangential relative velocity:
-
-    f = n f_n - v_t/|v_t| min(friction_damping min(c/o, 1) |v_t|, friction f_n),
-    f_n = stiffness r(c) - damping min(c/o, 1) min(v_n, 0),
-
-where r(c) = c^2 / (2 o) up to c = o and c - o/2 beyond. The force of one element acts on its corners with the weights
-of the closest point, the opposite force on the other's. So forces sum to zero, and without friction torques do too. The
-two friction forces of a pair act at its two closest points: their torque is the distance times the friction. To act at
-one point between the layers, they would have to bend the layers, which the corners of a pair cannot express: a vertex
-and a segment have no normal of their own.
+``SelfContact`` has the force of a pair. The force of one element acts on its corners with the weights of the closest
+point, the opposite force on the other's. So forces sum to zero, and without friction torques do too. The two friction
+forces of a pair act at its two closest points: their torque is the distance times the friction. To act at one point
+between the layers, they would have to bend the layers, which the corners of a pair cannot express: a vertex and a
+segment have no normal of their own.
 
 D of two segments is sqrt(|difference|^2 + (h/5)^2 ((2 s - 1)^2 + (2 t - 1)^2)) at its minimum over points s and t. The
 difference is not the true distance except in the middle of both segments, but it makes the force continuous where
@@ -65,7 +59,15 @@ class PairContact(struct.Replaceable):
 
 @struct.dataclass
 class SelfContact(PairContact):
-    """Contact of cloth and ropes with themselves and with each other; see ``pair_law`` for the force.
+    """Contact of cloth and ropes with themselves and with each other.
+
+    A pair is a vertex and a triangle, or two segments. It touches where its distance D is below the thickness h. With
+    the depth c = h - D, the onset o = h/4, and v_n and v_t the normal and tangential relative velocity, its force is
+
+        f = n f_n - v_t/|v_t| min(friction_damping min(c/o, 1) |v_t|, friction f_n),
+        f_n = stiffness r(c) - damping min(c/o, 1) min(v_n, 0),
+
+    where r(c) = c^2 / (2 o) up to c = o and c - o/2 beyond.
 
     Attributes:
       thickness: distance between the middle surfaces of two layers of cloth at which they touch [m]. ``make_scene``

@@ -29,9 +29,13 @@ def largest_safe_speed(scene: "ThinScene") -> Scalar:
     """Speed of vertices [m/s] relative to their mean velocity up to which layers do not cross.
 
     It is the smaller of two limits:
-      - sqrt(E / m): a pair at distance 0 stores E, more than the kinetic energy of two vertices of the largest mass m
-        that meet at this speed. Vertices that are held or pressed by a heavy collider can exceed it.
-      - thickness / (4 dt): in a substep two vertices come closer by at most half of the thickness.
+
+    - sqrt(E / m): a pair at distance 0 stores the energy E. Two vertices of the largest mass m that meet at this speed
+      have the kinetic energy E. A vertex that is held, or pressed by a heavy collider, can still pass.
+    - thickness / (4 dt): in a substep two vertices come closer by at most half of the thickness.
+
+    Raises:
+      ValueError: the scene has no self-contact.
 
     Gradient: exact.
     """

@@ -141,7 +141,13 @@ STATE = instance(ThinState, "give a state of thin.initial_state or thin.step")
 
 @checked(x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)))
 def initial_state(x: Any) -> ThinState:
-    """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
+    """Vertices without velocity at positions x [m], shape (num_vertices, 3).
+
+    Raises:
+      ValueError: another shape, or a position that is not finite. Only the shape of traced positions is checked.
+
+    Gradient: exact.
+    """
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     error, filled, speed = (jnp.zeros((), x.dtype) for _ in range(3))  # three buffers, so that a state can be donated
@@ -179,12 +185,15 @@ def make_scene(
       mesh: vertices at rest, triangles and segments.
       held: vertices that keep their velocity or follow the ``pins`` of ``step``: indices, or a mask (num_vertices,).
       warp: direction of the warp for a mesh without pattern, see ``rest_shape``.
-      others: the fields of ``ThinScene``.
+
+    All arguments but ``mesh``, ``held`` and ``warp`` are fields of ``ThinScene``.
 
     Raises:
       ValueError: a faulty mesh, an illegal value, triangles without ``cloth`` or segments without ``rope``, an unstable
-        material, ground or colliders without a contact law, a dt above ``largest_stable_dt``. The message names field,
-        value and remedy. ``check_status`` sets ``Status.INVALID_PARAMETERS`` for illegal traced values.
+        material, ground or colliders without a contact law, a dt above ``largest_stable_dt``; a grasp without vertices
+        and radius; self-contact that is traced, too thick or has a ``max_speed`` above ``largest_safe_speed``; with a
+        ``stepper``, grasps or a contact with damping and without onset. The message names field, value and remedy.
+        ``check_status`` sets ``Status.INVALID_PARAMETERS`` for illegal traced values.
     """
     check_fields(_SCENE, locals())
     check_thinmesh(mesh)

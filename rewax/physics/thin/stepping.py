@@ -95,12 +95,18 @@ def step(
       pins: positions of the held vertices at the end of each substep [m], shape (num_substeps, num_held, 3), in the
         order of ``make_scene``'s ``held``; None: they keep their velocity.
       grips: how far each grasp of the scene is closed, from 0 (open) to 1, shape (num_substeps, num_grasps), or
-        (num_grasps,) for the whole step; None for a scene without grasps. Numbers beyond count as 0 and 1.
+        (num_grasps,) for the whole step; None for a scene without grasps. They are clipped to [0, 1].
       store_every: the backward pass stores vertices every ``store_every`` substeps and recomputes the rest; None: it
         stores everything.
 
     Gradient: exact with respect to the state, the poses, the pins, the grips and every array of the scene, forward
-      and reverse; one-sided at the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
+      and reverse; one-sided at the onset of contact and at Coulomb's limit, see ``contact.penalty_force``. With
+      ``scene.stepper`` it is that of a converged step (implicit function theorem), up to its ``gradient_tolerance``,
+      and NaN where the linear system is not solved. None through ``error``, ``filled`` and ``speed``.
+
+    Raises:
+      ValueError: poses, pins, grips or the state do not fit the scene; the state lacks creases or holds that the scene
+        needs; ``store_every`` does not divide the number of substeps; state and scene differ in precision.
     """
     num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
     check_bodies(scene.colliders, num_bodies)

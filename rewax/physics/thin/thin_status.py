@@ -25,10 +25,14 @@ FLATTENED = 1e-6
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
-    substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
-    (``FULL_PAIRS``) and layers that crossed or vertices faster than ``max_speed`` or ``largest_safe_speed``
-    (``CROSSED``).
+    """Status bits of a state of cloth and ropes, and of its scene.
+
+    - ``NAN``: a number of the state is not finite.
+    - ``INVERTED``: a triangle is flattened.
+    - ``INVALID_PARAMETERS``: a number of the scene is illegal.
+    - ``UNSOLVED``: an implicit substep of the last ``step`` missed its tolerance.
+    - ``FULL_PAIRS``: a list of pairs of self-contact was full.
+    - ``CROSSED``: layers crossed, or a vertex was faster than ``max_speed`` or ``largest_safe_speed``.
 
     Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
     speed=0.0)`` forgets them. Crossed layers are those of this state.

@@ -52,9 +52,15 @@ def compile_train_step(
 ) -> Any:
     """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
 
-    On a CPU the agent's ``config.quick_compile`` chooses the code generator, see ``RunConfig``. ``meanwhile`` is called
-    after tracing and before compiling: while XLA compiles, it does not hold Python's global lock, so a thread that
-    ``meanwhile`` starts can trace other programs.
+    On a CPU the agent's ``config.quick_compile`` chooses the code generator, see ``RunConfig``.
+
+    Args:
+      agent: its ``train_step`` is compiled.
+      train_state: a state of the run; only shapes and types are used.
+      console: to print to.
+      where: the devices of the run.
+      meanwhile: called after tracing and before compiling. XLA compiles without Python's global lock, so a thread that
+        it starts can trace other programs.
 
     Returns:
       The compiled function; it never traces again.

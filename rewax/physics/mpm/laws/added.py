@@ -12,7 +12,7 @@ from rewax.types import Scalar, Vector
 
 @struct.dataclass
 class Newtonian(Viscosity):
-    """Newtonian viscosity: tau = 2 J viscosity dev(sym C).
+    """Newtonian viscosity: tau = 2 J viscosity dev(sym C) for J = det F and the velocity gradient C. Gradient: exact.
 
     Attributes:
       viscosity: dynamic viscosity [Pa s], >= 0.
@@ -31,7 +31,7 @@ class Newtonian(Viscosity):
 
 @struct.dataclass
 class Muscle(ActiveStress):
-    """Active stress along the deformed fibres: tau = activation (F fibre) (F fibre)^T.
+    """Active stress along the deformed fibres: tau = activation (F fibre) (F fibre)^T. Gradient: exact.
 
     Attributes:
       fibre: directions in the undeformed body, unit vectors of shape (3,) or (num_particles, 3).

@@ -73,7 +73,8 @@ class Law(struct.Replaceable):
 class Elasticity(Law):
     """Stress as a function of principal stretches; also the base of ``Fluid``.
 
-    Extend it by ``moduli``, ``principal_stress`` and ``energy``.
+    Extend it by ``moduli``, ``principal_stress`` and ``energy``, which raise NotImplementedError here. Stretches and
+    results have the shape of the particles. Gradients must be exact; ``divided_differences`` gives them.
     """
 
     def moduli(self) -> LameParameters:
@@ -97,7 +98,7 @@ class Elasticity(Law):
 class Fluid(Elasticity):
     """An elasticity that depends on volume only: F is reset to J^(1/3) I in every substep.
 
-    Extend it by ``stress``, ``energy_of_volume`` and ``sound_speed``.
+    Extend it by ``stress``, ``energy_of_volume`` and ``sound_speed``, which raise NotImplementedError here.
     """
 
     look = "water"

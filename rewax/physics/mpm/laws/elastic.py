@@ -28,8 +28,9 @@ class TwoModuli(Elasticity):
 
 @struct.dataclass
 class Hencky(TwoModuli):
-    """tau = 2 mu log s + lambda tr(log s): quadratic in logarithmic strain.
+    """tau_i = 2 mu log s_i + lambda sum_k log s_k for principal stretches s_i: quadratic in logarithmic strain.
 
+    Gradient: exact with respect to F and both moduli, also for equal stretches.
     Source: Klar et al. 2016, Drucker-Prager elastoplasticity, section 6.
     """
 
@@ -44,8 +45,11 @@ class Hencky(TwoModuli):
 
 @struct.dataclass
 class FixedCorotated(TwoModuli):
-    """tau = 2 mu (s - 1) s + lambda (J - 1) J. Its energy is finite through inversion.
+    """tau_i = 2 mu (s_i - 1) s_i + lambda (J - 1) J for principal stretches s_i, J = det F.
 
+    Its energy is finite through inversion.
+
+    Gradient: exact with respect to F and both moduli, also for equal stretches.
     Source: Stomakhin et al. 2012, "Energetically consistent invertible elasticity".
     """
 
@@ -60,8 +64,9 @@ class FixedCorotated(TwoModuli):
 
 @struct.dataclass
 class NeoHookean(TwoModuli):
-    """tau = mu (s^2 - 1) + lambda log J.
+    """tau_i = mu (s_i^2 - 1) + lambda log J for principal stretches s_i, J = det F.
 
+    Gradient: exact with respect to F and both moduli, also for equal stretches.
     Source: Jiang et al. 2016, MPM course notes, eq. 48, times F^T.
     """
 

@@ -11,11 +11,12 @@ from rewax.types import Array, Scalar
 MIN_FLUID_VOLUME = 0.05
 """Lower bound of a fluid's volume ratio J [-]."""
 TAIT_EXPONENT = 7.0
+"""Exponent of Tait's equation of state for water [-]."""
 
 
 @struct.dataclass
 class QuadraticFluid(Fluid):
-    """tau = lambda J (J - 1): the reference's water, with a solid's moduli and without shear.
+    """Water as in Rewarped: tau = lambda J (J - 1), a solid's pressure without shear. Gradient: exact.
 
     Attributes:
       youngs_modulus: E [Pa], > 0.
@@ -46,6 +47,9 @@ class Tait(Fluid):
 
     Attributes:
       speed_of_sound: c at rest [m/s], > 0.
+
+    Gradient: exact.
+    Source: Becker and Teschner 2007, "Weakly compressible SPH for free surface flows".
     """
 
     speed_of_sound: Scalar = struct.number(POSITIVE, "give the fluid's speed of sound in m/s")

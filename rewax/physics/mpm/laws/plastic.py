@@ -24,14 +24,15 @@ class VonMises(LogarithmicPlasticity):
     while no principal stretch is below ``least_stretch``.
 
     Attributes:
-      yield_stress: Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
+      yield_stress: Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0: sqrt(2/3) times the von Mises
+        stress, which is the yield stress in tension.
 
     Source: Gao et al. 2017, "An adaptive generalized interpolation material point method". Deviation: nothing is added
       to the norm of the deviatoric strain, so that the map is idempotent.
     """
 
     look = "dough"
-    yield_stress: Scalar = struct.number(POSITIVE, "give the von Mises yield stress in Pa")
+    yield_stress: Scalar = struct.number(POSITIVE, "give the norm of the stress deviator at yield in Pa")
 
     def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
         _, deviator, length = _deviator(log_s)
@@ -43,13 +44,12 @@ class DruckerPrager(LogarithmicPlasticity):
     """Sand: shear is limited in proportion to pressure, and separated particles carry no stress.
 
     The yield cone ends in its apex at the strain ``cohesion`` along each axis. Larger tensile strains return to the
-    apex. Near the apex the direction of the deviator varies arbitrarily fast, but it is multiplied by the cone's small
-    radius there, so the derivative stays bounded. At the apex itself, as for F = I without cohesion, it is that of
-    compression.
+    apex. Near the apex the direction of the deviator varies arbitrarily fast. The cone's radius is small there, so the
+    derivative stays bounded. The derivative at the apex itself, as for F = I without cohesion, is that of compression.
 
     Attributes:
       friction_angle: friction angle of triaxial compression [rad], in (0, pi / 2).
-      cohesion: largest tensile logarithmic strain along each axis [-], >= 0.
+      cohesion: largest tensile logarithmic strain along each axis [-], >= 0; not the stress of soil mechanics.
 
     Source: Klar et al. 2016, Drucker-Prager elastoplasticity, without the volume correction.
     """
