@@ -280,8 +280,14 @@ def projected(probabilities: Array, moved: Array, values: Array) -> Array:
       Shape (n, num_values).
     """
     place = (jnp.clip(moved, values[0], values[-1]) - values[0]) / (values[1] - values[0])
-    nearness = jnp.maximum(0.0, 1.0 - jnp.abs(place[:, :, None] - jnp.arange(len(values))))
-    return jnp.einsum("ni,nij->nj", probabilities, nearness)
+    below = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, len(values) - 2)
+    share = place - below  # of the value above
+
+    def one(probabilities: Array, below: Array, share: Array) -> Array:
+        new = jnp.zeros_like(probabilities).at[below].add(probabilities * (1.0 - share))
+        return new.at[below + 1].add(probabilities * share)
+
+    return jax.vmap(one)(probabilities, below, share)
 
 
 def bounded(params: PyTree) -> PyTree:
