@@ -189,8 +189,9 @@ def update(
         batch = batch._replace(obs=obs, next_obs=next_obs, reward=reward)
         if i == 0:
             state, metrics = actor_update(networks, state, batch, actor_key)
-        state, critic_metrics = critic_update(networks, state, batch, next_key)
-    return state, {**metrics, **critic_metrics}
+        state, of_critics = critic_update(networks, state, batch, next_key)
+        metrics = {**metrics, **of_critics}
+    return state, metrics
 
 
 def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
