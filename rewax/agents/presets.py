@@ -245,7 +245,8 @@ def flash_sac_preset(env_name: str, scale: str) -> FlashSACConfig:
     if scale == "paper":
         return _sized(FlashSACConfig, base, **_NO_GRADIENT)
     rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
-    sizes = {"batch_size": 1024, "updates": 16, "target_rate": 0.02, "replay_size": 100_000}
+    rates |= {"temperature_learning_rate": 5e-3, "target_rate": 0.02}
+    sizes = {"batch_size": 512, "updates": 32, "replay_size": 100_000}
     return _sized(FlashSACConfig, base, **sizes, **rates, **_NO_GRADIENT)
 
 
