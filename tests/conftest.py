@@ -99,8 +99,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
-_MANY_MAPS, _MUCH_MEMORY = 30_000, 4.5e9
-"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
+_MANY_MAPS = 40_000
+"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes."""
+_MUCH_MEMORY = 0.25
+"""Share of the machine's memory that a process may take, of which there are two [-]."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -110,7 +112,7 @@ def few_programs() -> Iterator[None]:
     process = Path("/proc/self")
     if not process.is_dir():
         return
-    resident = int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    resident = int((process / "statm").read_text().split()[1]) / os.sysconf("SC_PHYS_PAGES")
     if resident > _MUCH_MEMORY or (process / "maps").read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
         gc.collect()
@@ -209,6 +211,29 @@ def derivatives():
         return all_three
 
     return of
+
+
+@pytest.fixture(scope="session")
+def derivatives_agree(derivatives, random_like, central_difference, relative_error, inner):
+    """``derivatives_agree(f, x, dx, step=, bar=, exact=)``: f(x), and its reverse derivative of random weights.
+
+    Asserts that the forward derivative along dx is the central difference, with an error below ``bar``, and that the
+    reverse derivative is the forward one, with an error below ``exact``. Values of f may be trees.
+    """
+
+    def check(f, x, dx, *, step, bar, exact):
+        program = derivatives(f)
+
+        def weights(value):
+            return random_like(2, value)
+
+        value, forward, chosen, reverse = program(x, dx, weights)
+        difference = central_difference(lambda x: program(x, dx, weights)[0], x, dx, step)
+        assert relative_error(forward, difference) < bar
+        np.testing.assert_allclose(inner(reverse, dx), inner(chosen, forward), rtol=exact)
+        return value, reverse
+
+    return check
 
 
 @pytest.fixture(scope="session")

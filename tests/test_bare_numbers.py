@@ -87,7 +87,7 @@ def test_a_step_depends_on_every_number_of_a_scene_with_colliders_and_walls():
     state = state.replace(v=jnp.broadcast_to(jnp.array([1.0, -1.0, 0.5]), x.shape))
     moving = jnp.linspace(0.0, 1.0, 6)[:, None, None] * jnp.array([0.01, -0.002, 0.0])
     poses = Pose(moving, jnp.broadcast_to(jnp.eye(3), (6, 1, 3, 3)))
-    slopes = paths(jax.grad(lambda scene: jnp.sum(mpm.step(scene, state, poses).v ** 2))(scene))
+    slopes = paths(jax.jit(jax.grad(lambda scene: jnp.sum(mpm.step(scene, state, poses).v ** 2)))(scene))
     assert {
         "particle_volume", "gravity", "material.density", "material.elasticity.youngs_modulus",
         "material.elasticity.poissons_ratio", "colliders[0].shape.radius", "colliders[0].offset",

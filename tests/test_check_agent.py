@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.testing import agent_states, check_agent
+from rewax.testing import agent_policy, agent_states, check_agent
 
 ENV = toys.point_mass()
 TOY = toys.make_toy(ENV)
@@ -155,6 +155,12 @@ BROKEN = {
     r"^vmap over seeds, and a run alone, differ in .bias of the state: let a run depend on its own state only; rounding does it, too, where chaotic episodes amplify it: ": step_with(
         lambda new, metrics, old: (new.replace(bias=less_the_mean(new.bias)), metrics)
     ),
+    r"^policy\(..., deterministic=True\) gives different actions for different keys: return the mode": acting(
+        lambda ts, obs, key, deterministic: squashed(ts, obs, key)
+    ),
+}
+
+BROKEN_POLICIES = {
     r"^policy\(..., deterministic=False\) returns shape \(2,\), action_spec has \(1,\): return the action of one": acting(
         lambda ts, obs, key, deterministic: jnp.zeros(2)
     ),
@@ -166,9 +172,6 @@ BROKEN = {
     ),
     r"^policy\(..., deterministic=True\) returns an action beyond the bounds of its spec \[-1.0, 1.0\]: \[3.\]; squash": acting(
         lambda ts, obs, key, deterministic: jnp.full(1, 3.0 if deterministic else 0.0)
-    ),
-    r"^policy\(..., deterministic=True\) gives different actions for different keys: return the mode": acting(
-        lambda ts, obs, key, deterministic: squashed(ts, obs, key)
     ),
     r"^two calls of policy\(..., deterministic=False\) differ in  of the action: let the action depend": acting(
         lambda ts, obs, key, deterministic: jnp.full(1, 0.5 / (1 + next(COUNTER)))
@@ -194,6 +197,14 @@ def test_a_metric_that_an_iteration_may_lack_is_named_by_the_user():
 def test_a_broken_agent_is_named(sentence):
     with pytest.raises(AssertionError, match=sentence) as caught:
         check_agent(BROKEN[sentence], ENV, notify=None)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("sentence", BROKEN_POLICIES, ids=range(len(BROKEN_POLICIES)))
+def test_a_broken_policy_is_named(sentence):
+    agent, key = BROKEN_POLICIES[sentence], jax.random.key(0)
+    with pytest.raises(AssertionError, match=sentence) as caught:
+        agent_policy.check_policy(agent, ENV, agent.init(key), key, tolerance=1e-2)
     assert "\n" not in str(caught.value)
 
 

@@ -13,7 +13,7 @@ from rewax.physics.mpm.laws import Flow, LameParameters, Stretches, elongation_o
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.checks import POSITIVE
-from rewax.testing import check_law
+from rewax.testing import check_law, law
 from rewax.types import Scalar
 
 NUMBERS = {"youngs_modulus": 1e4, "poissons_ratio": 0.3}
@@ -180,7 +180,6 @@ SOLID = {"density": 1e3, "elasticity": Hencky(**NUMBERS)}
         (Material(**SOLID, viscosity=Tilted(viscosity=1.0)), "viscous stress does not turn with the body"),
         (Material(**SOLID, viscosity=Engine(viscosity=1.0)), "viscous stress makes energy"),
         (Material(**SOLID, viscosity=Spinning(viscosity=1.0)), "viscous stress is not symmetric"),
-        (Material(density=1e3, elasticity=Logarithm(**NUMBERS)), "the energy of stretches 2.0 is not finite"),
         (Material(density=1e3, elasticity=OneAxis(**NUMBERS)), "elastic stress "),
         (Material(density=1e3, elasticity=WrongEnergy(**NUMBERS)), "stress is not the derivative of energy by def"),
         (Material(density=1e3, elasticity=WrongModuli(**NUMBERS)), "stress of small strains is not Hooke's with modu"),
@@ -195,6 +194,12 @@ def test_what_is_wrong_is_named(material, sentence):
     with pytest.raises(AssertionError, match="^" + re.escape(sentence)) as error:
         check_law(material, **QUIET)
     assert ": " in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_energy_that_is_not_finite_is_named(monkeypatch):
+    monkeypatch.setattr(law, "check_derivatives", lambda *args: None)  # takes long, and finds nothing wrong here
+    with pytest.raises(AssertionError, match=r"^the energy of stretches 2\.0 is not finite: [^\n]*$"):
+        check_law(Material(density=1e3, elasticity=Logarithm(**NUMBERS)), **QUIET)
 
 
 def test_impossible_numbers_are_refused_first():

@@ -1,6 +1,7 @@
 """Data flows one way: no module imports one of a later layer."""
 
 import ast
+import functools
 import statistics
 from pathlib import Path
 
@@ -62,14 +63,20 @@ def module_name(path: Path, root: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
+def import_nodes(text: str) -> list[ast.Import | ast.ImportFrom]:
+    """All imports of a source text, those inside functions too."""
+    return [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports(path: Path, root: Path) -> set[str]:
     """Modules of rewax that a file imports anywhere, inside functions too."""
     found = set()
     package = module_name(path, root).split(".")[: None if path.name == "__init__.py" else -1]
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in import_nodes(path.read_text()):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             base = ".".join(package[: len(package) - node.level + 1]) + "." if node.level else ""
             source = (base + (node.module or "")).rstrip(".")
             # `from rewax import struct` imports a module, `from rewax.struct import field` a name in it
@@ -96,7 +103,7 @@ def test_no_import_goes_up():
 
 def test_nothing_imports_examples_or_tests():
     for path in (ROOT / "rewax").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in import_nodes(path.read_text()):
             if isinstance(node, ast.ImportFrom) and node.module:
                 assert node.module.split(".")[0] not in ("examples", "tests", "toys"), path
 
@@ -139,7 +146,7 @@ def test_no_package_shadows_its_modules():
         modules = {path.stem for path in init.parent.glob("*.py")}
         names = {
             alias.asname or alias.name
-            for node in ast.walk(ast.parse(init.read_text())) if isinstance(node, ast.ImportFrom)
+            for node in import_nodes(init.read_text()) if isinstance(node, ast.ImportFrom)
             for alias in node.names if node.module != module_name(init, ROOT)
         }  # fmt: skip
         assert not names & modules, f"{init} hides modules of its own"

@@ -41,11 +41,12 @@ def test_the_critics_part_leaves_out_the_ends_of_segments():
 
 
 def loss_gradient(variance, max_ratio=2.0):
-    """Gradient of one environment's loss with respect to the actor's parameters and the actions."""
+    """Gradient of one environment's loss with respect to the actor's parameters and the actions, and its rollouts."""
     networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, max_ratio=max_ratio))
     state = STATE.replace(variance=variance)
     loss = loss_of(networks, state)
-    return networks, jax.grad(lambda p: loss(p)[0])((STATE.actor_params, jnp.zeros((CONFIG.horizon, 1))))
+    both = (STATE.actor_params, jnp.zeros((CONFIG.horizon, 1)))
+    return networks, jax.jit(jax.grad(loss, has_aux=True))(both)
 
 
 def loss_of(networks, state):
@@ -53,17 +54,15 @@ def loss_of(networks, state):
 
 
 def test_with_the_share_one_it_is_sapo():
-    networks, (actor, _) = loss_gradient(jnp.ones(4), 1e6)
-    plain = jax.grad(lambda p: sapo.actor_loss(p, STATE.common(), AutoReset(env=ENV), ONE, KEY, networks=networks)[0])(
-        STATE.actor_params
-    )
+    networks, ((actor, _), _) = loss_gradient(jnp.ones(4), 1e6)
+    loss = lambda p: sapo.actor_loss(p, STATE.common(), AutoReset(env=ENV), ONE, KEY, networks=networks)[0]  # noqa: E731
+    plain = jax.jit(jax.grad(loss))(STATE.actor_params)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), actor, plain)
 
 
 def test_without_the_simulation_each_action_sees_its_reward_and_the_value_after_it():
     """d/da of discount^t (r + discount V(x + a / 2)), r = -(x + a / 2)^2, by hand."""
-    networks, (_, actions) = loss_gradient(jnp.ones(4), 1e-12)
-    _, rollouts = loss_of(networks, STATE)((STATE.actor_params, jnp.zeros((CONFIG.horizon, 1))))
+    networks, ((_, actions), rollouts) = loss_gradient(jnp.ones(4), 1e-12)
     statistics = STATE.environments.statistics
 
     def value(x):
@@ -71,7 +70,7 @@ def test_without_the_simulation_each_action_sees_its_reward_and_the_value_after_
         return networks.values(STATE.critic_params, obs).mean()
 
     after = rollouts.transitions.next_obs["x"]
-    slope = jax.vmap(jax.grad(value))(after)
+    slope = jax.jit(jax.vmap(jax.grad(value)))(after)
     expected = -(0.99 ** np.arange(4))[:, None] * 0.5 * (-2.0 * after + 0.99 * slope) / 4
     np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-6)
 

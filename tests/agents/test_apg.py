@@ -20,18 +20,18 @@ def test_the_gradient_is_that_of_the_discounted_rewards_of_whole_episodes():
     _, metrics = calm.train_step(start)
     actor = make_actor(ENV, CALM)
     reset = jax.random.split(start.key, 3)[2]
-    first = start.environments.restarted(reset).state.obs["x"]
+    first = jax.jit(start.environments.restarted)(reset).state.obs["x"]
 
-    def loss(params):
+    def cost(params, x):
         total = 0.0
-        for x in first:
-            for t in range(5):
-                action = actor.action_distribution(params, start.environments.statistics, {"x": x}).mode()
-                x = x + 0.5 * action
-                total = total + 0.99**t * x[0] ** 2
-        return total / (5 * len(first))
+        for t in range(5):
+            action = actor.action_distribution(params, start.environments.statistics, {"x": x}).mode()
+            x = x + 0.5 * action
+            total = total + 0.99**t * x[0] ** 2
+        return total / 5
 
-    value, grad = jax.value_and_grad(loss)(start.actor_params)
+    loss = lambda params: jax.vmap(cost, (None, 0))(params, first).mean()  # noqa: E731
+    value, grad = jax.jit(jax.value_and_grad(loss))(start.actor_params)
     np.testing.assert_allclose(metrics["actor_loss"], value, rtol=1e-4)
     norm = np.sqrt(sum(np.sum(np.square(leaf)) for leaf in jax.tree.leaves(grad)))
     np.testing.assert_allclose(metrics["actor_grad_norm"], norm, rtol=1e-3)

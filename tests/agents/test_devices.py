@@ -106,5 +106,5 @@ def test_gradients_of_environments_refuse_a_loss_that_closes_over_the_state():
     sentence = r"loss closes over state, which holds an array: give it as an argument \(the argument `common`"
     with pytest.raises(ValueError, match=sentence):
         gradients(loss)
-    losses, _, _ = gradients(functools.partial(shac.actor_loss, networks=networks))
+    losses, _, _ = jax.jit(lambda: gradients(functools.partial(shac.actor_loss, networks=networks)))()
     assert losses.shape == (4,) and np.isfinite(losses).all()

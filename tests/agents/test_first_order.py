@@ -76,20 +76,16 @@ def values(start, obs):
         *(getattr(start.environments.statistics, name)["x"] for name in ("mean", "variance")),
     )
     one = lambda x: networks.critics.apply(start.critic_params, {"x": (x - mean) / jnp.sqrt(var + 1e-5)})  # noqa: E731
-    return jax.vmap(jax.vmap(one))(obs["x"])
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(one)))(obs["x"]))
 
 
 def expected_loss(start, data, reward, valid=None):
     t = data.transitions
     valid = np.ones(t.reward.shape, bool) if valid is None else valid
     following = np.where(t.terminated, 0.0, values(start, t.next_obs).min(-1))
-    targets = np.stack(
-        [
-            td_lambda(*map(jnp.asarray, row), discount=0.99, lambda_=0.95)
-            for row in zip(reward, following, t.done, valid, strict=True)
-        ]
-    )
-    return np.mean(((np.asarray(values(start, t.obs)) - targets[..., None]) ** 2)[valid])
+    one = functools.partial(td_lambda, discount=0.99, lambda_=0.95)
+    targets = np.asarray(jax.jit(jax.vmap(one))(reward, following, t.done, valid))
+    return np.mean(((values(start, t.obs) - targets[..., None]) ** 2)[valid])
 
 
 def test_critics_regress_onto_targets_of_the_smaller_value(start, data):

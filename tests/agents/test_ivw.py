@@ -96,10 +96,10 @@ def gradient():
         )[0]
         return jax.grad(loss)(params)
 
-    plain = jax.grad(
-        lambda p: sapo.actor_loss(p, state.common(), AutoReset(env=ENV), one, jax.random.key(1), networks=networks)[0]
-    )(state.actor_params)
-    return of, plain
+    plain = lambda p: sapo.actor_loss(  # noqa: E731
+        p, state.common(), AutoReset(env=ENV), one, jax.random.key(1), networks=networks
+    )[0]
+    return of, jax.jit(jax.grad(plain))(state.actor_params)
 
 
 def test_with_equal_weights_it_is_sapo(gradient):
@@ -149,5 +149,6 @@ def assert_the_first_environment_adds_no_variance(actor, actions, constant=0.0, 
         return of_actions * jnp.sum(params[1]) + of_actor * total + rest, jnp.zeros(())
 
     loss = functools.partial(loss, first=float(state.environments.state.obs["x"][0, 0]))
-    new, _, _ = ivw.measured_actor_update(networks, state, loss, jax.random.key(1), decay=0.9)
+    update = jax.jit(lambda state: ivw.measured_actor_update(networks, state, loss, jax.random.key(1), decay=0.9)[0])
+    new = update(state)
     np.testing.assert_allclose(new.variance, 0.0, atol=1e-12)

@@ -1,5 +1,7 @@
 """Networks: invariances and inputs of the encoder, the initial policy, independent critics."""
 
+import functools
+
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -28,7 +30,7 @@ def observation(seed):
 @pytest.fixture(scope="module")
 def encode():
     module = encoder()
-    params = module.init(jax.random.key(0), observation(0))
+    params = jax.jit(module.init)(jax.random.key(0), observation(0))
     return jax.jit(lambda obs: module.apply(params, obs))
 
 
@@ -81,7 +83,7 @@ def test_initial_log_std_moves_sigma_alone(initial_policies):
     _, obs, (mean, log_std) = initial_policies
     one = jax.tree.map(lambda a: a[0], obs)
     module, key = actor(-1.0), jax.random.split(jax.random.key(1), 32)[0]
-    got_mean, got_log_std = module.apply(module.init(key, one), one)
+    got_mean, got_log_std = jax.jit(lambda key: module.apply(module.init(key, one), one))(key)
     np.testing.assert_allclose(got_mean, mean[0, 0], atol=1e-5)
     np.testing.assert_allclose(got_log_std, log_std[0, 0] - 1.0, atol=1e-5)
 
@@ -91,15 +93,23 @@ def test_log_std_is_clamped_at_both_ends(initial_policies):
     params = jax.tree.map(lambda a: a[0], params)
     kernel = params["params"]["log_std"]["kernel"]
     params["params"]["log_std"]["kernel"] = 1000.0 * kernel
-    got_mean, log_std = jax.vmap(actor().apply, (None, 0))(params, obs)
+    got_mean, log_std = jax.jit(jax.vmap(actor().apply, (None, 0)))(params, obs)
     assert log_std.min() == -5.0 and log_std.max() == 2.0
     np.testing.assert_allclose(got_mean, mean[0], atol=1e-5)
 
 
 def test_critics_share_an_encoder_and_nothing_else():
     module, obs = Critics(encoder(), (16,), 3, SILU, 1.0), observation(2)
-    params = module.init(jax.random.key(2), obs)
-    values, slopes = module.apply(params, obs), jax.jit(jax.jacobian(module.apply))(params, obs)["params"]
+    params = jax.jit(module.init)(jax.random.key(2), obs)
+
+    @jax.jit
+    @functools.partial(jax.jacobian, has_aux=True)
+    def both(params):
+        values = module.apply(params, obs)
+        return values, values
+
+    slopes, values = both(params)
+    slopes = slopes["params"]
     assert values.shape == (3,) and len(np.unique(np.asarray(values))) == 3
     for i in range(3):
         for head in (f"mlp_{i}", f"value_{i}"):

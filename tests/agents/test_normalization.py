@@ -15,6 +15,7 @@ from rewax.agents.normalization import (
 )
 from rewax.envs.base import ArraySpec
 
+update = jax.jit(update_statistics)
 SPEC = {"points": ArraySpec((5, 3)), "q": ArraySpec((4,)), "height": ArraySpec(())}
 
 
@@ -35,9 +36,9 @@ def test_incremental_equals_at_once_equals_numpy(x64):
     obs, statistics = observations(60), init_statistics(SPEC)
     parts = statistics
     for first, last in [(0, 1), (1, 8), (8, 60)]:
-        parts = update_statistics(parts, part(obs, first, last))
-    once = update_statistics(statistics, obs)
-    folded = update_statistics(statistics, jax.tree.map(lambda a: a.reshape(6, 10, *a.shape[1:]), obs))
+        parts = update(parts, part(obs, first, last))
+    once = update(statistics, obs)
+    folded = update(statistics, jax.tree.map(lambda a: a.reshape(6, 10, *a.shape[1:]), obs))
     assert set(once.mean) == {"q", "height"}
     for name in once.mean:
         # The prior counts as one sample of mean 0 and variance 1.
@@ -58,8 +59,8 @@ def test_prior_changes_nothing():
 
 def test_normalised_vectors_are_standard_and_point_clouds_untouched():
     obs = observations(4000)
-    statistics = update_statistics(init_statistics(SPEC), obs)
-    got = jax.vmap(lambda o: normalize(statistics, o))(obs)
+    statistics = update(init_statistics(SPEC), obs)
+    got = jax.jit(jax.vmap(lambda o: normalize(statistics, o)))(obs)
     np.testing.assert_allclose(got["q"][:, :3].mean(0), 0.0, atol=0.05)
     np.testing.assert_allclose(got["q"][:, :3].std(0), 1.0, atol=0.05)
     np.testing.assert_array_equal(got["points"], obs["points"])
@@ -67,13 +68,13 @@ def test_normalised_vectors_are_standard_and_point_clouds_untouched():
 
 def test_gradient_reaches_observations_only():
     obs = part(observations(20), 0, 20)
-    statistics = update_statistics(init_statistics(SPEC), obs)
+    statistics = update(init_statistics(SPEC), obs)
     one = jax.tree.map(lambda a: a[0], obs)
 
     def total(statistics, obs):
         return sum(jnp.sum(a) for a in normalize(statistics, obs).values())
 
-    by_statistics, by_obs = jax.grad(total, argnums=(0, 1))(statistics, one)
+    by_statistics, by_obs = jax.jit(jax.grad(total, argnums=(0, 1)))(statistics, one)
     assert all((np.asarray(leaf) == 0.0).all() for leaf in jax.tree.leaves(by_statistics))
     np.testing.assert_allclose(by_obs["q"], 1 / np.sqrt(np.asarray(statistics.variance["q"]) + EPSILON), rtol=1e-5)
     np.testing.assert_array_equal(by_obs["points"], np.ones((5, 3)))
@@ -82,17 +83,17 @@ def test_gradient_reaches_observations_only():
 @pytest.mark.parametrize("name", ["q", "height"])
 def test_no_gradient_into_the_statistics(name):
     def mean(a):
-        statistics = update_statistics(init_statistics({name: SPEC[name]}), {name: a})
+        statistics = update(init_statistics({name: SPEC[name]}), {name: a})
         return jnp.sum(statistics.mean[name]) + jnp.sum(statistics.variance[name])
 
-    assert (np.asarray(jax.grad(mean)(observations(3)[name])) == 0.0).all()
+    assert (np.asarray(jax.jit(jax.grad(mean))(observations(3)[name])) == 0.0).all()
 
 
 def learnt(batches, shape=(1,)):
     """Statistics after some batches of one observation."""
     statistics = init_statistics({"x": ArraySpec(shape)})
     for batch in batches:
-        statistics = update_statistics(statistics, {"x": jnp.asarray(batch)})
+        statistics = update(statistics, {"x": jnp.asarray(batch)})
     return statistics
 
 
@@ -118,7 +119,6 @@ def test_a_wild_observation_in_the_first_batch_of_few_is_held_too():
 def test_a_flag_or_force_that_is_rare_has_its_true_statistics(share, size):
     """Its quartiles are equal, so only the deviation says what is usual."""
     values = size * (np.random.default_rng(0).random((200, 512, 1)) < share)
-    update = jax.jit(update_statistics)
     got = init_statistics({"x": ArraySpec((1,))})
     for batch in values.astype(np.float32):
         got = update(got, {"x": batch})
@@ -158,7 +158,7 @@ def test_ordinary_numbers_are_never_moved(x64):
 
 def test_samples_that_do_not_count_change_nothing():
     statistics = learnt([np.ones((4, 1), np.float32)])
-    none = update_statistics(statistics, {"x": jnp.full((8, 1), 5.0)}, jnp.zeros(8, bool))
+    none = update(statistics, {"x": jnp.full((8, 1), 5.0)}, jnp.zeros(8, bool))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), none, statistics)
 
 

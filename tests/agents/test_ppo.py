@@ -1,6 +1,7 @@
 """PPO: its loss written out in numpy, its advantages, and the learning rate that follows the divergence."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +19,39 @@ from rewax.agents.returns import td_lambda
 CONFIG = CASES["ppo"].config
 
 
-def batch_of(networks, params, key, n=6):
+NETWORKS = make_actor_critic(ENV, CONFIG)
+FIXED = dataclasses.replace(CONFIG, target_kl=None, epochs=1, minibatches=1, actor_learning_rate=1e-3)
+
+
+@functools.cache
+def parameters():
+    """Of an actor and of critics."""
+    keys = jax.random.split(jax.random.key(0))
+    return tuple(
+        jax.jit(part.init)(key, {"x": jnp.zeros(1)})
+        for part, key in zip((NETWORKS.network, NETWORKS.critics), keys, strict=True)
+    )
+
+
+@jax.jit
+def loss_of(params, batch):
+    return ppo_loss(params, networks=NETWORKS, batch=batch)
+
+
+@jax.jit
+def gradients_of(params, batch):
+    return jax.grad(ppo_loss, has_aux=True)(params, networks=NETWORKS, batch=batch)[0]
+
+
+@jax.jit
+def policies(params, obs):
+    return jax.vmap(lambda o: NETWORKS.distribution(params, o))(obs)
+
+
+def batch_of(params, key, n=6):
     keys = jax.random.split(key, 4)
     obs = {"x": jax.random.normal(keys[0], (n, 1))}
-    now = jax.vmap(lambda o: networks.distribution(params, o))(obs)
+    now = policies(params, obs)
     mean, log_std = now.mean + 0.1, now.log_std - 0.2
     raw = mean + jnp.exp(log_std) * jax.random.normal(keys[1], mean.shape)
     log_prob = stats.norm.logpdf(raw, mean, np.exp(log_std)).sum(-1) - 2 * (
@@ -41,16 +71,14 @@ def batch_of(networks, params, key, n=6):
 
 
 def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
-    networks = make_actor_critic(ENV, CONFIG)
-    actor = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
-    critic = networks.critics.init(jax.random.key(1), {"x": jnp.zeros(1)})
-    batch, now = batch_of(networks, actor, jax.random.key(2))
-    loss, metrics = ppo_loss((actor, critic), networks=networks, batch=batch)
+    actor, critic = parameters()
+    batch, now = batch_of(actor, jax.random.key(2))
+    loss, metrics = loss_of((actor, critic), batch)
     counts = np.asarray(batch.weight, bool)
     new, old = (stats.norm.logpdf(batch.raw, policy.mean, np.exp(policy.log_std)).sum(-1) for policy in (now, batch))
     ratio, advantage = np.exp(new - old), np.asarray(batch.advantage)
     gain = np.minimum(ratio * advantage, np.clip(ratio, 0.8, 1.2) * advantage)[counts].mean()
-    value = np.asarray(networks.values(critic, batch.obs))[:, 0]
+    value = np.asarray(jax.jit(NETWORKS.values)(critic, batch.obs))[:, 0]
     error = 0.5 * ((value - batch.target) ** 2)[counts].mean()
     np.testing.assert_allclose(metrics["actor_loss"], -gain, rtol=1e-4)
     np.testing.assert_allclose(metrics["critic_loss"], error, rtol=1e-4)
@@ -63,15 +91,12 @@ def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
 @pytest.mark.parametrize("advantage", [-1.0, 1.0])
 def test_samples_of_very_different_probability_leave_the_gradient_finite(advantage):
     """Of a masked one nothing counts; of one that counts, the gradient has the direction of the plain one."""
-    networks = make_actor_critic(ENV, CONFIG)
-    actor = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
-    critic = networks.critics.init(jax.random.key(1), {"x": jnp.zeros(1)})
-    batch, now = batch_of(networks, actor, jax.random.key(2))
+    actor, critic = parameters()
+    batch, now = batch_of(actor, jax.random.key(2))
     batch = batch._replace(advantage=jnp.full(6, advantage))
 
     def gradient(batch):
-        loss = lambda params: ppo_loss((params, critic), networks=networks, batch=batch)[0]  # noqa: E731
-        return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(jax.grad(loss)(actor))])
+        return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(gradients_of((actor, critic), batch)[0])])
 
     plain = gradient(batch)
     masked = gradient(batch._replace(log_prob=batch.log_prob.at[2].set(-100.0)))
@@ -89,11 +114,10 @@ def test_samples_of_very_different_probability_leave_the_gradient_finite(advanta
 
 
 def test_the_norms_of_the_gradients_of_actor_and_critic_are_apart():
-    networks, state = make_actor_critic(ENV, CONFIG), agent("ppo").init(jax.random.key(0))
-    batch, _ = batch_of(networks, state.actor_params, jax.random.key(2))
-    loss = lambda *params: ppo_loss(params, networks=networks, batch=batch)[0]  # noqa: E731
-    grads = jax.grad(loss, argnums=(0, 1))(state.actor_params, state.critic_params)
-    _, metrics = update(networks, state, batch)
+    state = agent("ppo").init(jax.random.key(0))
+    batch, _ = batch_of(state.actor_params, jax.random.key(2))
+    grads = gradients_of((state.actor_params, state.critic_params), batch)
+    _, metrics = jax.jit(functools.partial(update, NETWORKS))(state, batch)
     for name, grad in zip(("actor_grad_norm", "critic_grad_norm"), grads, strict=True):
         np.testing.assert_allclose(metrics[name], optax.tree.norm(grad), rtol=1e-4)
 
@@ -123,14 +147,13 @@ def test_the_learning_rate_follows_the_divergence():
     _, rows = trained("ppo")
     rates = [float(row["learning_rate"]) for row in rows]
     assert len(set(rates)) > 3 and 1e-6 <= min(rates) <= max(rates) <= 1e-2
-    fixed = make_agent("ppo", ENV, dataclasses.replace(CONFIG, target_kl=None, epochs=1))
+    fixed = make_agent("ppo", ENV, FIXED)
     _, metrics = fixed.train_step(fixed.init(jax.random.key(0)))
-    assert float(metrics["learning_rate"]) == pytest.approx(CONFIG.actor_learning_rate)
+    assert float(metrics["learning_rate"]) == pytest.approx(FIXED.actor_learning_rate)
 
 
 def test_a_resumed_run_follows_another_fixed_learning_rate():
-    config = dataclasses.replace(CONFIG, target_kl=None, epochs=1, minibatches=1)
-    slow, fast = (dataclasses.replace(config, actor_learning_rate=rate) for rate in (1e-3, 2e-3))
+    slow, fast = FIXED, dataclasses.replace(FIXED, actor_learning_rate=2e-3)
     start = make_agent("ppo", ENV, slow).init(jax.random.key(0))
     (a, _), (b, metrics) = (make_agent("ppo", ENV, config).train_step(start) for config in (slow, fast))
     moved = [

@@ -47,13 +47,14 @@ def test_a_batch_is_each_environment_alone():
 
     params, key = jnp.array([0.3]), jax.random.key(1)
 
-    def gradients(env):
-        state = RunState(environments=start(env), key=key)
+    @jax.jit
+    def gradients(environments):
+        state = RunState(environments=environments, key=key)
         return per_env_gradients(loss, params, state.common(), state.environments, key)
 
-    losses, data, grads = gradients(stack(ENVS))
+    losses, data, grads = gradients(start(stack(ENVS)))
     for i, env in enumerate(ENVS):
-        one = gradients(env)
+        one = gradients(start(env))
         np.testing.assert_allclose(losses[i], one[0][i], rtol=1e-6)
         np.testing.assert_allclose(grads[i], one[2][i], rtol=1e-5)
         np.testing.assert_allclose(data.obs["x"][i], one[1].obs["x"][i], rtol=1e-6)
@@ -154,8 +155,7 @@ def test_new_episodes_begin_apart_if_the_run_does():
 def test_seeds_side_by_side_are_each_seed_alone():
     agent = make_sapo(ENVS[1], CONFIG)
     keys = jax.random.split(jax.random.key(7), 2)
-    many = jax.vmap(agent.init)(keys)
-    many, _ = jax.vmap(agent.train_step)(many)
+    many, _ = jax.jit(jax.vmap(lambda key: agent.train_step(agent.init(key))))(keys)
     one, _ = agent.train_step(agent.init(keys[1]))
     for a, b in zip(jax.tree.leaves(many.actor_params), jax.tree.leaves(one.actor_params), strict=True):
         np.testing.assert_allclose(a[1], b, rtol=1e-4, atol=1e-6)

@@ -38,23 +38,32 @@ def batch(valid):
 
 def test_critics_regress_onto_the_soft_target_of_the_smaller_value(start):
     data, key = batch([True, True, False, True]), jax.random.key(4)
-    loss, _ = sac.critic_loss(start.critic_params, networks=NETWORKS, state=start, batch=data, key=key)
-    errors = []
-    for i, one_key in enumerate(jax.random.split(key, 4)):
-        obs, following = ({"x": a["x"][i]} for a in (data.obs, data.next_obs))
-        action, log_prob = NETWORKS.distribution(start.actor_params, following).sample_and_log_prob(one_key)
-        soft = NETWORKS.critics.apply(start.target_params, following, action).min() - 0.1 * log_prob
-        target = data.reward[i] + data.discount[i] * soft
-        errors.append(np.mean((NETWORKS.critics.apply(start.critic_params, obs, data.action[i]) - target) ** 2))
-    np.testing.assert_allclose(loss, np.mean([errors[0], errors[1], errors[3]]), rtol=1e-4)
+
+    @jax.jit
+    @jax.vmap
+    def error(one, key):
+        action, log_prob = NETWORKS.distribution(start.actor_params, one.next_obs).sample_and_log_prob(key)
+        soft = NETWORKS.critics.apply(start.target_params, one.next_obs, action).min() - 0.1 * log_prob
+        target = one.reward + one.discount * soft
+        return jnp.mean((NETWORKS.critics.apply(start.critic_params, one.obs, one.action) - target) ** 2)
+
+    loss = jax.jit(lambda params: sac.critic_loss(params, networks=NETWORKS, state=start, batch=data, key=key)[0])
+    errors = error(data, jax.random.split(key, 4))
+    np.testing.assert_allclose(loss(start.critic_params), np.mean([errors[0], errors[1], errors[3]]), rtol=1e-4)
 
 
 def test_the_actor_ascends_the_soft_value(start):
     data, key = batch([True, False]), jax.random.key(4)
-    loss, metrics = sac.actor_loss(start.actor_params, networks=NETWORKS, state=start, batch=data, key=key)
-    obs = {"x": data.obs["x"][0]}
-    action, log_prob = NETWORKS.distribution(start.actor_params, obs).sample_and_log_prob(jax.random.split(key, 2)[0])
-    value = NETWORKS.critics.apply(start.critic_params, obs, action).min()
+    loss, metrics = jax.jit(lambda params: sac.actor_loss(params, networks=NETWORKS, state=start, batch=data, key=key))(
+        start.actor_params
+    )
+
+    @jax.jit
+    def first(obs, key):
+        action, log_prob = NETWORKS.distribution(start.actor_params, obs).sample_and_log_prob(key)
+        return log_prob, NETWORKS.critics.apply(start.critic_params, obs, action).min()
+
+    log_prob, value = first({"x": data.obs["x"][0]}, jax.random.split(key, 2)[0])
     np.testing.assert_allclose(loss, 0.1 * log_prob - value, rtol=1e-4)
     np.testing.assert_allclose(metrics["entropy"], -log_prob, rtol=1e-5)
 
@@ -68,7 +77,8 @@ def test_nothing_is_learnt_while_actions_are_random(start):
     unknown = {name for name, value in metrics.items() if np.isnan(value)} - {"return"}
     assert unknown == {"actor_loss", "actor_grad_norm", "entropy", "value"}
     first = jax.random.split(jax.random.split(start.key, 3)[2], config.updates)[0]
-    _, of_first = sac.update(make_actor_critic(ENV, config), state.replay, None, state, first)
+    networks = make_actor_critic(ENV, config)
+    _, of_first = jax.jit(lambda state: sac.update(networks, state.replay, None, state, first))(state)
     np.testing.assert_allclose(metrics["critic_loss"], of_first["critic_loss"], rtol=1e-5)
     actions = np.asarray(state.replay.steps.action[:4]).ravel()
     assert np.abs(actions).max() < 1.0 and np.std(actions) == pytest.approx(1 / np.sqrt(3), abs=0.2)
@@ -93,13 +103,11 @@ def test_with_normalised_rewards_their_unit_does_not_matter(start):
     state, _ = sac.make_sac(ENV, config).train_step(agent("sac").init(jax.random.key(0)))
     small = state.replay
     large = small.replace(steps=small.steps._replace(reward=1024.0 * small.steps.reward))
-    (one, _), (other, _) = (
-        sac.update(networks, replay, replays.return_scale(replay, config.discount), state, key)
-        for replay in (small, large)
-    )
+    update = jax.jit(lambda replay, scale: sac.update(networks, replay, scale, state, key))
+    (one, _), (other, _) = (update(replay, replays.return_scale(replay, config.discount)) for replay in (small, large))
     jax.tree.map(np.testing.assert_array_equal, one.critic_params, other.critic_params)
     jax.tree.map(np.testing.assert_array_equal, one.actor_params, other.actor_params)
-    raw, _ = sac.update(networks, large, None, state, key)
+    raw, _ = update(large, None)
     assert any(jax.tree.leaves(jax.tree.map(lambda a, b: bool((a != b).any()), raw.critic_params, one.critic_params)))
 
 

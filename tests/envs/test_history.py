@@ -21,8 +21,12 @@ def rollout(env, state, actions):
 
 
 def run(env, key=0, actions=ACTIONS):
-    first = env.reset(jax.random.key(key))
-    return first, rollout(env, first, actions)
+    @jax.jit
+    def whole(key, actions):
+        first = env.reset(key)
+        return first, rollout(env, first, actions)
+
+    return whole(jax.random.key(key), actions)
 
 
 def test_it_shows_the_last_observations_and_changes_nothing_else():
@@ -59,7 +63,8 @@ def test_pictures_get_channels_and_only_named_observations_are_stacked():
 
 def test_the_gradient_reaches_each_step_that_is_shown():
     env = History(env=Latency(env=toys.point_mass(LENGTH), observation=1), steps=2)
-    seen = jax.jacobian(lambda actions: run(env, actions=actions)[1].obs["x"])(ACTIONS)[..., 0]  # (step, shown, action)
+    shown = lambda actions: run(env, actions=actions)[1].obs["x"]  # noqa: E731
+    seen = jax.jit(jax.jacobian(shown))(ACTIONS)[..., 0]  # (step, shown, action)
     steps = range(LENGTH)
     expected = [[[0.5 * (a + 1 + age <= t) for a in steps] for age in (0, 1)] for t in steps]
     np.testing.assert_allclose(seen, expected, rtol=1e-6)

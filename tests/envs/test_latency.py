@@ -21,8 +21,12 @@ def rollout(env, state, actions):
 
 
 def run(env, key=0, actions=ACTIONS):
-    first = env.reset(jax.random.key(key))
-    return first, rollout(env, first, actions)
+    @jax.jit
+    def whole(key, actions):
+        first = env.reset(key)
+        return first, rollout(env, first, actions)
+
+    return whole(jax.random.key(key), actions)
 
 
 def test_observations_are_those_of_some_steps_ago_and_nothing_else_changes():
@@ -52,18 +56,23 @@ def test_only_the_named_observations_are_late():
 
 def test_the_gradient_reaches_the_step_that_an_action_acts_in_and_what_is_seen_of_it():
     env = Latency(env=toys.point_mass(LENGTH), observation=1, action=2)
-    rewards = jax.jacobian(lambda actions: run(env, actions=actions)[1].reward)(ACTIONS)[..., 0]  # (step, action)
-    x = run(env)[1].physics[:, 0]
+
+    def results(actions):
+        states = run(env, actions=actions)[1]
+        return (states.reward, states.obs["x"][:, 0]), states.physics[:, 0]
+
+    (rewards, seen), x = jax.jit(jax.jacobian(results, has_aux=True))(ACTIONS)  # (step, action, 1)
     expected = np.array([[-2.0 * x[t] * 0.5 if a + 2 <= t else 0.0 for a in range(LENGTH)] for t in range(LENGTH)])
-    np.testing.assert_allclose(rewards, expected, rtol=1e-5)
-    seen = jax.jacobian(lambda actions: run(env, actions=actions)[1].obs["x"][:, 0])(ACTIONS)[..., 0]
-    np.testing.assert_allclose(seen, [[0.5 * (a + 3 <= t) for a in range(LENGTH)] for t in range(LENGTH)], rtol=1e-6)
+    np.testing.assert_allclose(rewards[..., 0], expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        seen[..., 0], [[0.5 * (a + 3 <= t) for a in range(LENGTH)] for t in range(LENGTH)], rtol=1e-6
+    )
 
 
 def test_a_drawn_delay_is_constant_in_an_episode_and_all_delays_of_the_range_occur():
     env = Vmap(env=AutoReset(env=Latency(env=toys.point_mass(3), observation=(0, 2), action=(1, 2))))
-    state = env.reset(jax.random.split(jax.random.key(0), 64))
-    states = rollout(env, state, jnp.zeros((6, 64, 1)))
+    keys = jax.random.split(jax.random.key(0), 64)
+    states = jax.jit(lambda keys: rollout(env, env.reset(keys), jnp.zeros((6, 64, 1))))(keys)
     for name, delays in (("observation_delay", {0, 1, 2}), ("action_delay", {1, 2})):
         drawn = np.asarray(getattr(states.delayed, name))
         assert {*drawn.ravel().tolist()} == delays
@@ -79,7 +88,8 @@ def test_a_new_episode_begins_with_its_own_observation_and_no_action_of_the_old_
     np.testing.assert_array_equal(states.obs["x"][1], states.physics[1])  # of the new episode
     np.testing.assert_array_equal(states.physics[2], states.physics[1])  # the old action does not act in it
     np.testing.assert_allclose(states.final_obs["x"][3], states.physics[2])
-    slope = jax.jacobian(lambda actions: run(env, actions=actions)[1].reward)(jnp.full((5, 1), 0.4))[..., 0]
+    rewards = lambda actions: run(env, actions=actions)[1].reward  # noqa: E731
+    slope = jax.jit(jax.jacobian(rewards))(jnp.full((5, 1), 0.4))[..., 0]
     assert slope[4, 0] == slope[4, 1] == slope[2, 0] == 0.0 and slope[3, 2] != 0.0
 
 
@@ -100,7 +110,7 @@ def test_it_works_around_and_inside_of_randomisation_and_other_latencies():
 
 def test_latencies_inside_each_other_draw_delays_of_their_own():
     env = Latency(env=Latency(env=toys.point_mass(LENGTH), observation=(0, 5)), observation=(0, 5))
-    delayed = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200)).delayed
+    delayed = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 200)).delayed
     assert 0.05 < float(jnp.mean(delayed.observation_delay == delayed.inner.observation_delay)) < 0.3
 
 

@@ -56,9 +56,10 @@ def test_a_batch_is_a_loop():
     batch = stack(envs)
     assert batch.env_axis == 0 and batch.action_spec == envs[0].action_spec and batch.episode_length == 5
     assert batch.observation_spec == envs[0].observation_spec
-    states = batch.step(batch.reset(keys), action)
+    states = jax.jit(lambda batch: batch.step(batch.reset(keys), action))(batch)
+    one = jax.jit(lambda env, key, action: env.step(env.reset(key), action))
     for i, env in enumerate(envs):
-        alone = env.step(env.reset(keys[i]), action[i])
+        alone = one(env, keys[i], action[i])
         np.testing.assert_allclose(states.physics[i], alone.physics, rtol=1e-6)
     leaves = EnvLeaves.of(batch)
     assert leaves.axis == 0 and leaves.first().gain == jnp.float32(0.1)
@@ -72,10 +73,11 @@ def test_each_environment_of_a_batch_has_a_gradient_of_its_own():
     keys = jax.random.split(jax.random.key(0), 2)
 
     def rewards(env):
-        return Vmap(env=env, env_axis=0).step(batch.reset(keys), jnp.ones((2, 1))).reward
+        first = batch.reset(keys)
+        return Vmap(env=env, env_axis=0).step(first, jnp.ones((2, 1))).reward, first.physics[:, 0]
 
-    jacobian = np.asarray(jax.jacobian(rewards)(batch.env).gain)
-    x = np.asarray(batch.reset(keys).physics)[:, 0]
+    jacobian, x = jax.jit(jax.jacobian(rewards, has_aux=True))(batch.env)
+    jacobian = np.asarray(jacobian.gain)
     np.testing.assert_allclose(jacobian, np.diag(-2 * (x + np.array([0.1, 0.5]))), rtol=1e-5)
 
 

@@ -78,14 +78,14 @@ def test_every_episode_begins_in_another_state_and_repeats_with_its_key():
 
 def test_gradient_is_cut_exactly_at_the_boundary_for_that_environment_alone():
     env = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
-    state = env.reset(jax.random.split(jax.random.key(0), 2))
+    state = jax.jit(env.reset)(jax.random.split(jax.random.key(0), 2))
     state = state.replace(step_count=jnp.array([0, 2]))  # the second ends in the first step
 
     def last_rewards(actions):
         return rollout(env, state, actions).reward[1]  # of the second step
 
-    slope = jax.jacobian(last_rewards)(jnp.zeros((2, 2, 1)))[..., 0]  # (reward of env, step, action of env)
-    x = rollout(env, state, jnp.zeros((2, 2, 1))).physics[1, :, 0]
+    slope = jax.jit(jax.jacobian(last_rewards))(jnp.zeros((2, 2, 1)))[..., 0]  # (reward of env, step, action of env)
+    x = jax.jit(lambda actions: rollout(env, state, actions))(jnp.zeros((2, 2, 1))).physics[1, :, 0]
     np.testing.assert_allclose(slope[0, :, 0], [-x[0], -x[0]], rtol=1e-5)  # d(-x^2)/da = -2 x gain
     np.testing.assert_allclose(slope[1, :, 1], [0.0, -x[1]], rtol=1e-5)  # nothing from before the reset
     np.testing.assert_array_equal(slope[0, :, 1], [0.0, 0.0])
@@ -102,7 +102,8 @@ def test_a_reset_is_computed_only_in_steps_that_end_an_episode():
             return super().reset(key)
 
     env = Vmap(env=AutoReset(env=Counted(gain=jnp.float32(0.5), length=LENGTH)))
-    state = Vmap(env=AutoReset(env=toys.point_mass(LENGTH))).reset(jax.random.split(jax.random.key(0), 2))
+    plain = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
+    state = jax.jit(plain.reset)(jax.random.split(jax.random.key(0), 2))
     states = jax.jit(lambda state: rollout(env, state, jnp.zeros((LENGTH + 1, 2, 1))))(state)
     jax.effects_barrier()
     assert states.done.tolist() == [[False] * 2, [False] * 2, [True] * 2, [False] * 2]
@@ -112,7 +113,7 @@ def test_a_reset_is_computed_only_in_steps_that_end_an_episode():
 def test_a_step_without_a_reset_has_the_numbers_of_a_step_with_one():
     """The others of a batch decide whether a reset is computed, and never what it is."""
     env = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
-    state = env.reset(jax.random.split(jax.random.key(0), 2))
+    state = jax.jit(env.reset)(jax.random.split(jax.random.key(0), 2))
 
     def step(state, actions):
         return env.step(state, actions).reward.sum(), env.step(state, actions)
@@ -132,12 +133,13 @@ def test_a_step_without_a_reset_has_the_numbers_of_a_step_with_one():
 def test_a_batch_of_batches_is_reset_as_its_environments_alone():
     one = AutoReset(env=toys.point_mass(LENGTH))
     keys = jax.random.split(jax.random.key(0), (2, 3))
-    state = jax.vmap(jax.vmap(one.reset))(keys)
+    state = jax.jit(jax.vmap(jax.vmap(one.reset)))(keys)
     state = state.replace(step_count=jnp.array([[0, LENGTH - 1, 0], [0, 0, 0]]))
-    new = jax.vmap(jax.vmap(one.step))(state, jnp.full((2, 3, 1), 0.3))
+    new = jax.jit(jax.vmap(jax.vmap(one.step)))(state, jnp.full((2, 3, 1), 0.3))
     assert new.done.tolist() == [[False, True, False], [False] * 3]
+    step = jax.jit(one.step)
     for i in np.ndindex(2, 3):
-        alone = one.step(jax.tree.map(lambda a, i=i: a[i], state), jnp.full(1, 0.3))
+        alone = step(jax.tree.map(lambda a, i=i: a[i], state), jnp.full(1, 0.3))
         np.testing.assert_array_equal(new.physics[i], alone.physics)
         assert new.step_count[i] == alone.step_count
 
@@ -184,15 +186,16 @@ def test_the_episode_that_a_reset_begins_has_no_gradient_by_the_environment_eith
         ended = env.step(state.replace(step_count=jnp.int32(LENGTH - 1)), jnp.zeros(1))
         return state.physics[0], ended.final_obs["x"][0], ended.physics[0], ended.obs["x"][0]
 
-    assert places(jnp.float32(0.7)) == (0.7, 0.7, 0.7, 0.7)
-    np.testing.assert_array_equal(jax.jacobian(places)(jnp.float32(0.7)), [1.0, 1.0, 0.0, 0.0])
+    found, slopes = jax.jit(lambda place: (places(place), jax.jacobian(places)(place)))(jnp.float32(0.7))
+    assert found == (0.7, 0.7, 0.7, 0.7)
+    np.testing.assert_array_equal(slopes, [1.0, 1.0, 0.0, 0.0])
 
 
 def test_a_failed_environment_ends_and_touches_no_other():
     env = Vmap(env=AutoReset(env=Fragile(gain=jnp.float32(0.5), limit=jnp.float32(1.4), length=LENGTH)))
     keys = jax.random.split(jax.random.key(3), 16)
-    state = env.reset(keys)
-    new = env.step(state, jnp.full((16, 1), 0.5))
+    state, push = jax.jit(env.reset)(keys), jnp.full((16, 1), 0.5)
+    new = jax.jit(env.step)(state, push)
     failed = np.asarray(state.physics[:, 0] + 0.25 > 1.4)
     assert 0 < failed.sum() < 16
     np.testing.assert_array_equal(new.terminated, failed)
@@ -201,9 +204,9 @@ def test_a_failed_environment_ends_and_touches_no_other():
     for leaf in (new.physics, new.obs["x"], new.final_obs["x"], new.reward, new.metrics["distance"]):
         assert np.isfinite(leaf).all()
     np.testing.assert_array_equal(np.asarray(new.final_obs["x"])[failed], np.asarray(state.obs["x"])[failed])
-    alone = jax.vmap(env.env.step)(*jax.tree.map(lambda a: a[~failed], (state, jnp.full((16, 1), 0.5))))
+    alone = jax.jit(jax.vmap(env.env.step))(*jax.tree.map(lambda a: a[~failed], (state, push)))
     np.testing.assert_array_equal(alone.physics, new.physics[~failed])
-    slope = jax.jacobian(lambda a: env.step(state, a).reward)(jnp.full((16, 1), 0.5))[..., 0]
+    slope = jax.jit(jax.jacobian(lambda a: env.step(state, a).reward))(push)[..., 0]
     healthy = np.asarray(slope)[np.ix_(~failed, ~failed)]
     assert np.isfinite(healthy).all() and (np.diag(healthy) != 0).all()
     assert (healthy == np.diag(np.diag(healthy))).all()
@@ -221,10 +224,13 @@ def test_terminated_and_truncated_exclude_each_other(env, ends):
 def test_batch_equals_loop():
     env = AutoReset(env=toys.point_mass(2))
     keys, actions = jax.random.split(jax.random.key(0), 4), jnp.linspace(-1, 1, 4)[:, None]
-    batch = Vmap(env=env)
-    state = batch.step(batch.step(batch.reset(keys), actions), actions)
+
+    def two_steps(env):
+        return jax.jit(lambda key, action: env.step(env.step(env.reset(key), action), action))
+
+    state, alone = two_steps(Vmap(env=env))(keys, actions), two_steps(env)
     for i in range(4):
-        one = env.step(env.step(env.reset(keys[i]), actions[i]), actions[i])
+        one = alone(keys[i], actions[i])
         np.testing.assert_allclose(state.obs["x"][i], one.obs["x"], rtol=1e-6)
         assert bool(jnp.all(jax.random.key_data(state.key[i]) == jax.random.key_data(one.key)))
 

@@ -36,7 +36,7 @@ def test_the_body_of_a_record_is_that_of_its_environment():
     assert body.rest_positions.shape == env.rest_positions.shape
     assert float(body.scene.particle_volume) == pytest.approx(float(env.scene.particle_volume), rel=0.25)
     np.testing.assert_allclose(body.rest_positions.mean(0), env.rest_positions.mean(0), atol=0.02)
-    state = body.step(body.reset(jax.random.key(1)), np.zeros(3, np.float32))
+    state = jax.jit(body.step)(jax.jit(body.reset)(jax.random.key(1)), np.zeros(3, np.float32))
     assert int(state.status) == 0
 
 

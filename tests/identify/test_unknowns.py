@@ -70,7 +70,7 @@ def test_the_first_state_may_be_unknown(env):
     unknowns = {"initial.position[0]": Uniform(-0.1, 0.1), "initial.velocity[1]": Uniform(-1.0, 1.0)}
     still = without_reset_noise(env)
     space = space_of(unknowns, still)
-    physics = still.reset(jax.random.key(0)).physics
+    physics = jax.jit(still.reset)(jax.random.key(0)).physics
     moved = space.start(physics, jnp.asarray(space.latent([0.02, -0.5]), jnp.float32))
     np.testing.assert_allclose(moved.soft.x - physics.soft.x, np.tile([0.02, 0.0, 0.0], (256, 1)), atol=1e-6)
     np.testing.assert_allclose(moved.soft.v, np.tile([0.0, -0.5, 0.0], (256, 1)), atol=1e-6)
@@ -78,7 +78,8 @@ def test_the_first_state_may_be_unknown(env):
 
 def test_without_reset_noise_all_episodes_begin_alike(env):
     still = without_reset_noise(env)
-    a, b = (still.reset(jax.random.key(seed)).physics.soft.x for seed in (0, 1))
+    reset = jax.jit(still.reset)
+    a, b = (reset(jax.random.key(seed)).physics.soft.x for seed in (0, 1))
     np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(a, env.rest_positions)
 
@@ -131,7 +132,7 @@ def test_what_a_task_draws_at_its_start_is_left_out_or_named():
 def test_stability_is_that_of_every_solver(task, names):
     """The status of a step says INVALID_PARAMETERS where the scene is not stable, and only there."""
     env = rewax.make(task, scale="small")
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     check = jax.jit(lambda env: env.step(state, jnp.zeros(env.action_spec.shape)).status)
     for factor in (1.0, 1e4):
         scale = lambda path, a: a * factor if jax.tree_util.keystr(path) in names else a  # noqa: E731

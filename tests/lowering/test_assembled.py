@@ -72,8 +72,13 @@ def everything(function, of, shared, own, fields, random_like):
 
     args = (shared["scale"], own, fields)
     tangents, cotangents = random_like(0, args), random_like(1, jax.eval_shape(real, *args))
-    value, tangent = jax.jvp(real, args, tangents)
-    return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+    @jax.jit
+    def all_three(args, tangents, cotangents):
+        value, tangent = jax.jvp(real, args, tangents)
+        return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+    return all_three(args, tangents, cotangents)
 
 
 @NEEDS_COMPILER

@@ -61,8 +61,13 @@ def of_real(function, shared, elements):
 
 def everything(function, shared, elements, tangents, cotangents):
     real, args = of_real(function, shared, elements)
-    value, tangent = jax.jvp(real, args, tangents)
-    return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+    @jax.jit
+    def all_three(args, tangents, cotangents):
+        value, tangent = jax.jvp(real, args, tangents)
+        return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+    return all_three(args, tangents, cotangents)
 
 
 @NEEDS_COMPILER

@@ -95,7 +95,7 @@ def test_speed_and_strain_are_those_of_the_motion():
 
 def test_the_camera_of_a_rigid_task_is_one_that_pictures_know():
     env = rewax.make("AntRun", scale="small")
-    drawings = [jax.device_get(env.render_shapes(env.reset(jax.random.key(0)).physics))]
+    drawings = [jax.device_get(env.render_shapes(jax.jit(env.reset)(jax.random.key(0)).physics))]
     recording = Recording(
         steps=np.zeros(1, int),
         rewards=np.zeros(0),

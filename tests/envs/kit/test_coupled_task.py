@@ -48,7 +48,7 @@ def push():
 
 def test_a_paddle_pushes_the_block_and_feels_it():
     env = push()
-    step, state = jax.jit(env.step), env.reset(jax.random.key(0))
+    step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     assert state.obs["particle_q"].shape == (8, 3)
     states = [state]
     for _ in range(12):

@@ -61,10 +61,11 @@ def tray(**changes):
 
 
 ENV = tray()
+RESET = jax.jit(ENV.reset)
 
 
 def test_hands_lift_cloth_and_grains():
-    state, step = ENV.reset(jax.random.key(0)), jax.jit(ENV.step)
+    state, step = RESET(jax.random.key(0)), jax.jit(ENV.step)
     before = state.physics.soft
     np.testing.assert_allclose(
         np.ptp(np.asarray(before.particles.x - ENV.rest_positions[: len(GRAINS)]), axis=0), 0, atol=1e-6
@@ -84,7 +85,7 @@ def test_hands_lift_cloth_and_grains():
 
 
 def test_observations_and_text_hold_both():
-    state = ENV.reset(jax.random.key(0))
+    state = RESET(jax.random.key(0))
     np.testing.assert_array_equal(state.obs["particle_q"], state.physics.soft.particles.x[::3][:8])
     np.testing.assert_array_equal(state.obs["cloth_q"], state.physics.soft.thin.x[::4])
     assert state.obs["vector"].shape == (2,) and ENV.num_particles == len(GRAINS)
@@ -92,7 +93,7 @@ def test_observations_and_text_hold_both():
 
 
 def test_pictures_and_sensors_hold_both():
-    physics, looks = ENV.reset(jax.random.key(0)).physics, ENV.appearance
+    physics, looks = RESET(jax.random.key(0)).physics, ENV.appearance
     assert looks["material_names"] == ("cloth", "sand") and looks["thickness"] == ENV.thickness
     np.testing.assert_array_equal(looks["materials"], [1] * len(GRAINS) + [0] * 9)
     np.testing.assert_array_equal(looks["triangles"], MESH.triangles + len(GRAINS))
@@ -112,6 +113,6 @@ def test_tools_of_the_cloth_alone_are_seen():
     env = tray()
     env = env.replace(scene=env.scene.replace(thin=env.scene.thin.replace(colliders=(ball, box))))
     assert [collider.body for collider in env.seen_colliders] == [1, 0]
-    physics = env.reset(jax.random.key(0)).physics
+    physics = RESET(jax.random.key(0)).physics
     assert [drawing["kind"] for drawing in env.render_shapes(physics)] == ["box", "sphere", "sphere"]
     assert len(env.world(physics, env.up).solids) == len(ENV.world(physics, ENV.up).solids) + 1

@@ -42,7 +42,8 @@ def held(kind=Held):
 
 def test_set_points_move_within_limits_and_the_hand_follows_without_jumps():
     env = held()
-    state, step, speeds, places = env.reset(jax.random.key(0)), jax.jit(env.step), [np.zeros(2)], [np.zeros(2)]
+    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
+    speeds, places = [np.zeros(2)], [np.zeros(2)]
     assert not np.any(env.ahead(state.physics))
     for k in range(40):
         state = step(state, jnp.array([1.0, 1.0]) if k < 3 else jnp.zeros(2))
@@ -62,8 +63,8 @@ def test_set_points_move_within_limits_and_the_hand_follows_without_jumps():
 def test_the_oscillator_is_the_exact_solution(x64):
     env = held()
     q, v, p = jnp.array([0.01, -0.02]), jnp.array([0.3, -0.1]), np.array([0.05, 0.01])
-    physics = env.reset(jax.random.key(0)).physics.replace(joint_q=q, joint_qd=v, task=jnp.asarray(p))
-    after, _ = env.advance(physics, jnp.zeros(2))
+    physics = jax.jit(env.reset)(jax.random.key(0)).physics.replace(joint_q=q, joint_qd=v, task=jnp.asarray(p))
+    after, _ = jax.jit(env.advance)(physics, jnp.zeros(2))
     x, w = np.array([q, v]), 12.0
     for _ in range(20_000):  # x'' = -2 w x' - w^2 (x - p), in small steps
         middle = x + 0.5e-6 * np.array([x[1], -2 * w * x[1] - w * w * (x[0] - p)])

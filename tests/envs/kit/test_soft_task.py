@@ -1,5 +1,7 @@
 """What soft tasks share: joints and their limits, point clouds, status, mistakes."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +56,7 @@ def poke(**changes):
 
 def test_a_tool_moves_linearly_and_pushes_what_it_meets():
     env = poke()
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     assert state.obs.keys() == {"particle_q", "com_q", "joint_q"}
     step = jax.jit(env.step)
     statuses = []
@@ -76,28 +78,30 @@ def test_a_task_with_tets_passes_check_env():
 def test_limits_are_frozen_or_exact(exact, slope):
     """Where a limit stops a joint, its place after the step has a derivative of 1 by its place before, or of 0."""
     env = poke(exact_limits=exact)
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
 
-    def after(q, action):
+    @jax.jit
+    @functools.partial(jax.grad, argnums=(0, 1))
+    def slopes(q, action):
         return env.step(state.replace(physics=state.physics.replace(joint_q=q)), action).physics.joint_q[0]
 
-    by_place, by_action = jax.grad(after, argnums=(0, 1))(jnp.array([0.58]), jnp.array([1.0]))
+    by_place, by_action = slopes(jnp.array([0.58]), jnp.array([1.0]))
     np.testing.assert_allclose(by_place, [slope], atol=1e-6)
     np.testing.assert_allclose(by_action, [0.0], atol=1e-6)
-    by_place, by_action = jax.grad(after, argnums=(0, 1))(jnp.array([0.0]), jnp.array([0.5]))
+    by_place, by_action = slopes(jnp.array([0.0]), jnp.array([0.5]))
     np.testing.assert_allclose([by_place[0], by_action[0]], [1.0, 0.05], rtol=1e-5)
 
 
 def test_a_joint_that_stands_at_its_limit_can_leave_it():
     """Actions of zero there have the derivative of actions that move the joint away, in each step."""
     env = poke()
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     state = state.replace(physics=state.physics.replace(joint_q=env.joint_upper))
 
     def last(actions):
         return jax.lax.scan(lambda s, a: (env.step(s, a), None), state, actions)[0].physics.joint_q[0]
 
-    np.testing.assert_allclose(jax.grad(last)(jnp.zeros((4, 1))), 0.05 * np.ones((4, 1)), rtol=1e-4)
+    np.testing.assert_allclose(jax.jit(jax.grad(last))(jnp.zeros((4, 1))), 0.05 * np.ones((4, 1)), rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["RollingFlat", "HandFlip", "FluidMove", "HandLift"])

@@ -63,8 +63,9 @@ def test_reset_draws_the_references_noise():
 
 def hand_points(q):
     """Where the hand's geoms are, shape (num_geoms, 3)."""
-    poses = jax.tree.map(lambda a: a[0], PAPER.poses(jnp.asarray(q)[None]))
-    return np.asarray([poses.position[c.body] + poses.rotation[c.body] @ c.offset for c in PAPER.scene.colliders])
+    poses = jax.tree.map(lambda a: np.asarray(a)[0], jax.jit(PAPER.poses)(jnp.asarray(q, jnp.float32)[None]))
+    places = [poses.position[c.body] + poses.rotation[c.body] @ np.asarray(c.offset) for c in PAPER.scene.colliders]
+    return np.asarray(places)
 
 
 def test_the_hand_lies_palm_up_with_fingers_along_z():

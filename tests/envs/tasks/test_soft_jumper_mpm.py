@@ -64,7 +64,7 @@ def test_reset_draws_soft_jumpers_noise_and_strains_the_body():
         tets = make("SoftJumper", "paper" if env is PAPER else "small")
         for name in ("shift_lower", "shift_upper", "stretch"):
             np.testing.assert_array_equal(getattr(env.noise, name), getattr(tets.noise, name))
-    states = jax.vmap(PAPER.begin)(jax.random.split(jax.random.key(0), 16))[0].soft
+    states = jax.jit(jax.vmap(PAPER.begin))(jax.random.split(jax.random.key(0), 16))[0].soft
     stretch = np.ptp(np.asarray(states.x), axis=1) / np.ptp(np.asarray(PAPER.rest_positions), axis=0)
     expected = stretch[:, 0, None, None, None] * np.broadcast_to(np.eye(3), (1, 2970, 3, 3))
     np.testing.assert_allclose(states.F, np.broadcast_to(expected, states.F.shape), atol=1e-5)

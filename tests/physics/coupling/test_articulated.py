@@ -143,10 +143,11 @@ def test_a_light_finger_in_heavy_dough_is_calm(x64, mass):
     model = model_of(FINGER.format(mass=mass))
     scene, state = dough_under(model, walls=True)
     robot = thrown(model, velocity=(0.0, -0.2, 0.0), spin=(0.0, 0.0, 0.0))
-    after, robot, _ = RUN(scene, model, state, robot, num_substeps=200)
-    assert np.isfinite(np.asarray(after.x)).all()
-    assert float(jnp.abs(after.v).max()) < 0.5 and float(jnp.abs(robot.qvel[:3]).max()) < 0.4
-    assert int(mpm.check_status(scene, after)) == 0
+    for _ in range(4):
+        state, robot, _ = RUN(scene, model, state, robot, num_substeps=50)
+    assert np.isfinite(np.asarray(state.x)).all()
+    assert float(jnp.abs(state.v).max()) < 0.5 and float(jnp.abs(robot.qvel[:3]).max()) < 0.4
+    assert int(mpm.check_status(scene, state)) == 0
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Forces of actuators at limits of controls, actuators, tendons and joints: values are MuJoCo's, slopes those of the inside."""
 
+import functools
 import warnings
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from rigid_cases import simulate_in_c
 
 from rewax.lowering.report import LoweringWarning
 from rewax.physics import rigid
@@ -129,19 +131,25 @@ MUSCLE = """<mujoco><compiler angle="radian"/><option timestep="0.005"/><worldbo
 
 
 def test_muscles_have_a_gradient_in_single_precision():
-    """MJX divides by the width of the transition, 0 by default, and its fifth power overflows."""
-    slopes = []
-    for precise in (False, True):
-        with jax.enable_x64(precise):
-            model = rigid.load(MUSCLE.format(width=0.0))
+    """MJX divides by the width of the transition, 0 by default, and its fifth power overflows.
 
-            def velocity(ctrl, model=model):
-                return rigid.step(model, rigid.initial_state(model), ctrl, num_substeps=3).qvel[0]
+    It is that of MuJoCo's differences in double precision, towards the inside at both ends.
+    """
+    text = MUSCLE.format(width=0.0)
+    mj, model = mujoco.MjModel.from_xml_string(text), rigid.load(text)
 
-            ctrl = jnp.array([[0.0], [0.05], [0.5], [1.0]])
-            slopes.append(jax.jit(jax.vmap(jax.grad(velocity)), compiler_options=unoptimised())(ctrl))
-    np.testing.assert_allclose(slopes[0], slopes[1], rtol=1e-4)
-    assert np.all(np.asarray(slopes[1]) < -1e-2)
+    def velocity(ctrl):
+        return rigid.step(model, rigid.initial_state(model), ctrl, num_substeps=3).qvel[0]
+
+    def mujocos(ctrl):
+        return simulate_in_c(mj, [0.0], [0.0], [ctrl], steps=3)[0].qvel[0]
+
+    ctrl = np.array([0.0, 0.05, 0.5, 1.0])
+    slopes = jax.jit(jax.vmap(jax.grad(velocity)), compiler_options=unoptimised())(jnp.asarray(ctrl)[:, None])
+    inside = np.where(ctrl < 1.0, 1e-7, -1e-7)
+    expected = [(mujocos(c + step) - mujocos(c)) / step for c, step in zip(ctrl, inside, strict=True)]
+    np.testing.assert_allclose(slopes[:, 0], expected, rtol=1e-4)
+    assert np.max(expected) < -1e-2
 
 
 def test_slopes_beyond_limits(x64, pulled):
@@ -164,14 +172,22 @@ SERVOS = {
     "idle": '<position joint="j" kp="2" timeconst="0.1" gear="0 0 0"/>',
     "no servo": '<general joint="j" dyntype="filter" dynprm="0.1" gainprm="2" biastype="affine" biasprm="0 -1.5 0" gear="0 0 1"/>',
 }  # fmt: skip
-TURNED = """<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody><body><joint name="j" type="ball"/>
-<geom type="box" size=".1 .2 .3" density="20"/></body></worldbody><actuator>{}</actuator></mujoco>"""
 
 
-@pytest.mark.parametrize("kind", SERVOS)
-def test_servos_of_ball_joints_take_mujocos_way_around(x64, kind):
+def turned(kinds):
+    """A model with a free ball joint for each of the servos."""
+    bodies, actuators = "", ""
+    for k, kind in enumerate(kinds):
+        bodies += f"""<body><joint name="j{k}" type="ball"/>
+          <geom type="box" size=".1 .2 .3" density="20" contype="0" conaffinity="0"/></body>"""
+        actuators += SERVOS[kind].replace('"j"', f'"j{k}"')
+    return f"""<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody>{bodies}</worldbody>
+      <actuator>{actuators}</actuator></mujoco>"""
+
+
+def test_servos_of_ball_joints_take_mujocos_way_around(x64):
     """In some starts the set point, the activation or both lie more than half a turn from the joint, or come to lie."""
-    xml = TURNED.format(SERVOS[kind])
+    xml, num = turned(SERVOS), len(SERVOS)
     mj, model = mujoco.MjModel.from_xml_string(xml), rigid.load(xml)
     step = jax.jit(lambda state, ctrl: rigid.step(model, state, ctrl), compiler_options=unoptimised())
     rng, data = np.random.default_rng(3), mujoco.MjData(mj)
@@ -183,19 +199,20 @@ def test_servos_of_ball_joints_take_mujocos_way_around(x64, kind):
         (2.0, 5.06, 20.0),
     ):
         axis = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
-        qpos, qvel = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis], rng.normal(size=3)
+        qpos = np.tile(np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis], num)
+        qvel = np.tile(rng.normal(size=3), num)
         mujoco.mj_resetData(mj, data)
         data.qpos[:], data.qvel[:], data.act[:], data.ctrl[:] = qpos, qvel, act, ctrl
         state = rigid.initial_state(model, qpos, qvel).replace(act=jnp.full(mj.na, act))
         for _ in range(3):
             mujoco.mj_step(mj, data)
-            state = step(state, jnp.array([ctrl]))
+            state = step(state, jnp.full(num, ctrl))
             np.testing.assert_allclose(state.qvel, data.qvel, atol=1e-12, err_msg=str(angle))
             np.testing.assert_allclose(state.act, data.act, atol=1e-12, err_msg=str(angle))
 
 
 def test_slopes_of_a_filtered_servo_that_turns_the_short_way(x64):
-    model = rigid.load(TURNED.format(SERVOS["exact"]))
+    model = rigid.load(turned(["exact"]))
 
     def after(inputs):
         angle, act, ctrl = inputs
@@ -203,9 +220,13 @@ def test_slopes_of_a_filtered_servo_that_turns_the_short_way(x64):
         new = rigid.step(model, state.replace(act=act[None]), ctrl[None])
         return jnp.array([new.qvel[2], new.act[0]])
 
-    inputs = jnp.array([-2.5, 3.1, 3.0])
-    exact, numeric = jax.jacrev(after)(inputs), np.zeros((2, 3))
+    @functools.partial(jax.jit, compiler_options=unoptimised())
+    def all_three(inputs):
+        return after(inputs), jax.jacrev(after)(inputs), jax.jacfwd(after)(inputs)
+
+    inputs, numeric = np.array([-2.5, 3.1, 3.0]), np.zeros((2, 3))
     for k, change in enumerate(1e-6 * np.eye(3)):
-        numeric[:, k] = (after(inputs + change) - after(inputs - change)) / 2e-6
+        numeric[:, k] = (all_three(inputs + change)[0] - all_three(inputs - change)[0]) / 2e-6
+    _, exact, forward = all_three(inputs)
     np.testing.assert_allclose(exact, numeric, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(jax.jacfwd(after)(inputs), exact, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(forward, exact, rtol=1e-12, atol=1e-15)

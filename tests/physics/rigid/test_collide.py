@@ -203,7 +203,7 @@ def test_contacts_may_be_limited_as_in_mjx_and_the_limit_lifted(x64):
 
 
 PLAIN = """<mujoco><worldbody><geom type="plane" size="9 9 9"/><body pos="0 0 .05"><freejoint/><geom type="capsule" size=".06 .08"/></body>
-<body pos=".1 0 .06"><freejoint/><geom type="box" size=".05 .06 .07"/></body></worldbody></mujoco>"""
+<body pos=".1 0 .06"><freejoint/><geom size=".07"/></body></worldbody></mujoco>"""
 
 
 def test_other_users_of_mjx_are_untouched():
@@ -228,14 +228,14 @@ def test_other_users_of_mjx_are_untouched():
         seen.append(dict(collision_driver._COLLISION_FUNC))
         if len(from_thread) < 2:
             threads(lambda: from_thread.append((dict(collision_driver._COLLISION_FUNC), stock())))
-        return box_like(first, second)
+        return between(first, second)
 
-    def box_like(first, second):
+    def between(first, second):
         across = second.position - first.position
         length = jnp.sqrt(jnp.sum(across**2) + 1e-9)
         return length - 0.1, first.position + 0.5 * across, across / length
 
-    model = rigid.load(PLAIN, contact_pairs=[ContactPair(("capsule", "box"), 1, looking)])
+    model = rigid.load(PLAIN, contact_pairs=[ContactPair(("sphere", "capsule"), 1, looking)])
     results.append(stock())
     end = jax.jit(rigid.step, compiler_options=unoptimised())(model, rigid.initial_state(model))
     results.append(stock())

@@ -6,7 +6,9 @@ import pytest
 
 from rewax.physics import rigid
 from rewax.physics.rigid.spring_contacts import Penalty
+from rewax.xla_options import unoptimised
 
+STEP = jax.jit(rigid.step, compiler_options=unoptimised())
 LAW = Penalty(stiffness=2000.0, damping=30.0, friction_damping=12.0)
 SLIDING_BALL = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="floor" type="plane" size="1 1 1"/>
 <body pos="0 0 .09"><freejoint/><geom name="ball" size=".1" mass="1" friction=".5"/></body></worldbody></mujoco>"""
@@ -20,7 +22,7 @@ def accelerated(law, text, qvel=None):
     """Accelerations of the model as written."""
     model = rigid.load(text, dt=1e-4, penalty=law)
     state = rigid.initial_state(model, qvel=qvel)
-    return np.asarray((rigid.step(model, state).qvel - state.qvel) / model.dt)
+    return np.asarray(STEP(model, state).qvel - state.qvel) / model.dt
 
 
 @pytest.mark.parametrize(("at_surfaces", "arm"), [(False, 0.095), (True, 0.1)])

@@ -56,10 +56,15 @@ def test_colliders_have_mujocos_distances(model):
     data = mujoco.MjData(mj)
     data.qpos[:] = QPOS
     mujoco.mj_forward(mj, data)
-    for tool, name in zip(tools, ("ball", "bar", "brick", "can", "egg"), strict=True):
-        pose = shape_pose(tool, body_pose(poses, tool.body))
-        local = (jnp.asarray(points, jnp.float32) - pose.position) @ pose.rotation
-        found = np.asarray(signed_distance(tool.shape, local)[0])
+
+    @jax.jit
+    def distances(points):
+        placed = [shape_pose(tool, body_pose(poses, tool.body)) for tool in tools]
+        local = [(points - pose.position) @ pose.rotation for pose in placed]
+        return [signed_distance(tool.shape, where)[0] for tool, where in zip(tools, local, strict=True)]
+
+    every = np.asarray(distances(jnp.asarray(points, jnp.float32)))
+    for found, name in zip(every, ("ball", "bar", "brick", "can", "egg"), strict=True):
         expected = [
             mujoco.mj_geomDistance(mj, data, mj.geom(f"p{i}").id, mj.geom(name).id, 10.0, None) + 1e-4
             for i in range(len(points))
@@ -78,9 +83,13 @@ def test_friction_is_the_geoms_or_the_given_one(model):
 
 def test_poses_are_those_of_the_bodies_for_any_shape_of_angles(model):
     many = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (2, 3, 2)), jnp.float32)
-    found = rigid.poses(model, many)
+
+    @jax.jit
+    def many_and_one(many):
+        return rigid.poses(model, many), rigid.body_poses(model, rigid.initial_state(model, many[1, 2]))
+
+    found, one = many_and_one(many)
     assert found.position.shape == (2, 3, 3, 3) and found.rotation.shape == (2, 3, 3, 3, 3)
-    one = rigid.body_poses(model, rigid.initial_state(model, many[1, 2]))
     np.testing.assert_allclose(found.position[1, 2], one.position, atol=1e-6)
     np.testing.assert_allclose(found.rotation[1, 2], one.rotation, atol=1e-6)
 
@@ -97,10 +106,10 @@ def test_poses_and_shapes_can_be_differentiated(x64):
         return signed_distance(brick.shape, pose.rotation.T @ (jnp.array([0.3, 0.9, 0.9]) - pose.position))[0]
 
     point, size = jnp.asarray(QPOS), model.parameters["geom_size"]
-    slope, by_size = jax.grad(height, argnums=(0, 1))(point, size)
-    for i in range(2):
-        step = 1e-6 * jnp.eye(2)[i]
-        difference = (height(point + step, size) - height(point - step, size)) / 2e-6
+    both = jax.jit(jax.value_and_grad(height, argnums=(0, 1)))
+    _, (slope, by_size) = both(point, size)
+    for i, step in enumerate(1e-6 * np.eye(2)):
+        difference = (both(point + step, size)[0] - both(point - step, size)[0]) / 2e-6
         np.testing.assert_allclose(slope[i], difference, rtol=1e-6)
     brick = model.static.mj.geom("brick").id
     assert np.abs(by_size[brick]).max() > 0.1 and np.abs(by_size).sum() == pytest.approx(np.abs(by_size[brick]).sum())

@@ -52,7 +52,7 @@ def test_lengths_and_moments_are_mujocos(x64, name):
         d = tendon(m, d)
         return d.ten_length[0], tendon_jacobian(d)[0]
 
-    lengths, moments = jax.jit(jax.vmap(measured), compiler_options=unoptimised())(ANGLES)
+    lengths, moments = map(np.asarray, jax.jit(jax.vmap(measured), compiler_options=unoptimised())(ANGLES))
     wrapped = []
     for angle, length, moment in zip(ANGLES, lengths, moments, strict=True):
         data.qpos[:] = [angle, 0.3 * angle]

@@ -76,11 +76,16 @@ def test_the_curvature_is_the_derivative_of_the_force_where_distances_are_not_ex
         moved = cp.split_vector(flat.reshape(-1, 3))
         return jnp.stack(implicit_contact.touch_slope(contact, place, at, moved, 1e-3), axis=-1).reshape(-1)
 
-    def product(p):
-        return jnp.stack(curvature(cp.split_vector(p.reshape(-1, 3))), axis=-1).reshape(-1)
+    @jax.jit
+    def both(x):
+        curvature = implicit_contact.touch_curvature(contact, place, at, cp.split_vector(x), 1e-3, jnp.ones(2))
 
-    curvature = implicit_contact.touch_curvature(contact, place, at, cp.split_vector(x), 1e-3, jnp.ones(2))
-    matrix, expected = jax.vmap(product)(jnp.eye(6)), jax.jacfwd(slope)(x.reshape(-1))
+        def product(p):
+            return jnp.stack(curvature(cp.split_vector(p.reshape(-1, 3))), axis=-1).reshape(-1)
+
+        return jax.vmap(product)(jnp.eye(6)), jax.jacfwd(slope)(x.reshape(-1))
+
+    matrix, expected = both(x)
     size = np.abs(expected).max()
     np.testing.assert_allclose(expected, expected.T, atol=1e-10 * size)
     np.testing.assert_allclose(matrix, expected, atol=1e-10 * size)

@@ -12,6 +12,7 @@ from thin_bodies import LINE, SHEET, cloth_scene, rope_scene
 from rewax.physics import thin
 from rewax.status import Status
 
+STATUS = jax.jit(thin.check_status)
 REFUSED = [
     ({"thickness": -1.0}, "self_contact.thickness is -1.0"),
     ({"thickness": 0.06}, "more than half of the smallest height"),
@@ -42,13 +43,13 @@ def test_a_thickness_that_needs_more_neighbours_is_illegal(x64, make, mesh, name
     def changed(thickness):
         return scene.replace(self_contact=scene.self_contact.replace(**{name: thickness}))
 
-    assert thin.check_status(changed(legal), state) == Status.OK
+    assert STATUS(changed(legal), state) == Status.OK
     assert float(jnp.abs(FORCE(changed(legal), state)).max()) == 0.0
-    assert thin.check_status(changed(illegal), state) & Status.INVALID_PARAMETERS
+    assert STATUS(changed(illegal), state) & Status.INVALID_PARAMETERS
     half = dataclasses.replace(mesh, vertices=0.5 * np.asarray(mesh.vertices))
     smaller = make(half, self_contact=law(thickness=0.5 * built, max_speed=0.05))
     assert jax.tree.structure(smaller) == jax.tree.structure(scene)  # so they can be stacked
-    assert thin.check_status(scene.replace(rest=smaller.rest, self_contact=changed(legal).self_contact), state) & (
+    assert STATUS(scene.replace(rest=smaller.rest, self_contact=changed(legal).self_contact), state) & (
         Status.INVALID_PARAMETERS
     )
 
@@ -56,6 +57,6 @@ def test_a_thickness_that_needs_more_neighbours_is_illegal(x64, make, mesh, name
 def test_a_friction_that_begins_later_needs_its_damping():
     scene = cloth_scene(SHEET, self_contact=law(friction=0.0, friction_damping=0.0))
     state = thin.initial_state(SHEET.vertices)
-    assert thin.check_status(scene, state) == Status.OK
+    assert STATUS(scene, state) == Status.OK
     rough = scene.replace(self_contact=scene.self_contact.replace(friction=0.3))
-    assert thin.check_status(rough, state) == Status.INVALID_PARAMETERS
+    assert STATUS(rough, state) == Status.INVALID_PARAMETERS

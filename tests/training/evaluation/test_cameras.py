@@ -25,23 +25,23 @@ def recorded(env, **options):
 def states(env):
     """The states of the recorded episode: the first one and one after each step."""
     reset_key, _ = jax.random.split(jax.random.key(1))
-    found = [env.reset(reset_key)]
+    found, step = [jax.jit(env.reset)(reset_key)], jax.jit(env.step)
     for _ in range(env.episode_length):
-        found.append(env.step(found[-1], jnp.array([-0.2])))
+        found.append(step(found[-1], jnp.array([-0.2])))
     return found
 
 
 def test_depth_is_what_was_observed_and_bodies_are_what_is_there():
     env = seeing_toys.sensing(noise=DepthNoise(constant=0.02, dropout=0.1))
     depth, bodies = recorded(env).seen
+    view = jax.jit(lambda physics: env.sensors["depth"].view(env.world(physics)))
     assert depth.title == "depth [m]" and (depth.near, depth.far) == (1.0, 4.0) and bodies.names == ("ball", "floor")
     for frame, state in enumerate(states(env)):
         observed, pixels = np.asarray(state.obs["depth"][..., 0]), depth.pixels[frame]
         assert ((observed < 1.0) == (pixels < NOTHING)).all() and 0.05 < (pixels == NOTHING).mean() < 0.6
         np.testing.assert_allclose(pixels[observed < 1.0] / 254.0, observed[observed < 1.0], atol=0.51 / 254.0)
-        view = env.sensors["depth"].view(env.world(state.physics))
         labels = bodies.pixels[frame].astype(int)
-        np.testing.assert_array_equal(np.where(labels == NOTHING, -1, labels), view.label)
+        np.testing.assert_array_equal(np.where(labels == NOTHING, -1, labels), view(state.physics).label)
     assert {0, 1} <= {*bodies.pixels.ravel().tolist()}
 
 
@@ -66,7 +66,8 @@ def test_a_cloud_shows_its_cameras_picture_and_large_pictures_are_thinned():
     env = Sensing(env=seeing_toys.visible(), sensors={"cloud": cloud})
     depth, bodies = recorded(env, max_frames=2).seen
     assert depth.pixels.shape == bodies.pixels.shape == (2, 67, 100) and max(depth.pixels.shape) <= LARGEST_SIDE
-    whole = cloud.camera.depth(env.world(states(env)[0].physics))[::3, ::3]
+    reset_key, _ = jax.random.split(jax.random.key(1))
+    whole = jax.jit(lambda key: cloud.camera.depth(env.world(env.reset(key).physics)))(reset_key)[::3, ::3]
     seen = depth.pixels[0] < NOTHING
     np.testing.assert_allclose(depth.pixels[0][seen] / 254.0 * 3.0 + 1.0, whole[seen], atol=0.51 / 254.0 * 3.0)
 

@@ -33,8 +33,8 @@ def test_the_middle_is_the_policy_and_a_trained_one_is_near_the_top(name):
 
 
 def test_what_cannot_be_is_one_sentence():
-    state, _ = trained("sapo")
-    policy, key = agent("sapo").policy, jax.random.key(0)
+    state, _ = trained("trajopt")
+    policy, key = agent("trajopt").policy, jax.random.key(0)
     with pytest.raises(ValueError, match="size is 4: give an odd number from 3 on"):
         landscape(ENV, policy, state, key, size=4)
     with pytest.raises(ValueError, match="span is 0: give a positive number"):

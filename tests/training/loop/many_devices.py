@@ -1,4 +1,7 @@
-"""Trains tiny agents, by their names as arguments, on one and on several devices of a CPU; a process of its own, for JAX counts devices once."""
+"""Trains tiny agents, by their names as arguments, on one and on several devices of a CPU.
+
+A process of its own, for JAX counts devices once: as many as ``DEVICES`` says.
+"""
 
 import dataclasses
 import os
@@ -8,19 +11,20 @@ from pathlib import Path
 
 import jax
 
-jax.config.update("jax_num_cpu_devices", int(os.environ.get("DEVICES", "8")))
+if "DEVICES" in os.environ:
+    jax.config.update("jax_num_cpu_devices", int(os.environ["DEVICES"]))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-import numpy as np  # noqa: E402
-from rich.console import Console  # noqa: E402
-from toys import PointMass, point_mass  # noqa: E402
+import numpy as np
+from rich.console import Console
+from toys import PointMass, point_mass
 
-from rewax import struct  # noqa: E402
-from rewax.agents.registry import algorithm  # noqa: E402
-from rewax.training.config import TrainConfig  # noqa: E402
-from rewax.training.loop.devices import on_one_device, placement  # noqa: E402
-from rewax.training.loop.seeds import train_seeds  # noqa: E402
-from rewax.training.loop.train import train  # noqa: E402
+from rewax import struct
+from rewax.agents.registry import algorithm
+from rewax.training.config import TrainConfig
+from rewax.training.loop.devices import on_one_device, placement
+from rewax.training.loop.seeds import train_seeds
+from rewax.training.loop.train import train
 
 SIZES = {
     "num_envs": 8,

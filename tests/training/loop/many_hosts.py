@@ -1,9 +1,8 @@
-"""Processes that train a tiny agent together, and one that compares: ``train COUNT INDEX PORT FOLDER``, ``compare FOLDER``."""
+"""One of several processes that train a tiny agent together: ``COUNT INDEX PORT FOLDER``."""
 
 import sys
-from pathlib import Path
 
-from many_devices import compare, run
+from many_devices import run
 
 from rewax.training.loop.hosts import connect, leads
 
@@ -21,11 +20,5 @@ def train(count, index, port, folder):
     print("done")
 
 
-def compared(folder):
-    together = run("sapo", 1, folder, resume=True)  # the rest of its four iterations
-    compare(together, run("sapo", 1, Path(folder).with_name("alone")))
-    print("the same in several processes and in one")
-
-
 if __name__ == "__main__":
-    {"train": train, "compare": compared}[sys.argv[1]](*sys.argv[2:])
+    train(*sys.argv[1:])

@@ -15,7 +15,8 @@ from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, pl
 )
 def test_several_devices_train_as_one_does(names, sharing_programs):
     script = Path(__file__).with_name("many_devices.py")
-    done = subprocess.run([sys.executable, str(script), *names], env=sharing_programs, capture_output=True, text=True)
+    environment = {**sharing_programs, "DEVICES": "8"}
+    done = subprocess.run([sys.executable, str(script), *names], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     assert "the same on one and on several devices" in done.stdout
 

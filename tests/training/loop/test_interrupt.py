@@ -40,11 +40,13 @@ SLOW = textwrap.dedent("""
         ("policy", "stopped before the first iteration: --resume continues", True, signal.SIGINT),
     ],
 )
-def test_a_signal_while_compiling_ends_the_process_at_once(tmp_path, compiled, sentence, kept, signum):
+def test_a_signal_while_compiling_ends_the_process_at_once(
+    tmp_path, sharing_programs, compiled, sentence, kept, signum
+):
     process = subprocess.Popen(
         [sys.executable, "-c", SLOW, compiled],
         cwd=tmp_path,
-        env=toys.subprocess_environment(),
+        env={**sharing_programs, **toys.subprocess_environment()},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -70,13 +70,13 @@ def test_the_command_begins_with_the_old_run_and_goes_on_from_there(old, toy, tm
         f"--env={toy}",
         "--scale=small",
         f"--run-dir={tmp_path / 'new'}",
-        "--steps=4",
+        "--steps=8",
         "--seed=3",
         *OPTIONS,
     ]
     assert main([*argv, f"--init-from={old}"]) == 0
     assert f"beginning with what {old} has learnt" in capsys.readouterr().out
-    assert checkpoint.latest_step(tmp_path / "new") == 1
+    assert checkpoint.latest_step(tmp_path / "new") == 2
     origin = lambda: json.loads((tmp_path / "new" / "config.json").read_text())["train"]["init_from"]  # noqa: E731
     assert origin() == str(old)
     assert main([*argv, "--resume"]) == 0 and origin() == str(old)

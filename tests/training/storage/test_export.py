@@ -1,7 +1,9 @@
 """Exported policies act as the run does, in processes that have no rewax."""
 
 import dataclasses
+import functools
 import json
+import shutil
 import subprocess
 import sys
 
@@ -22,12 +24,12 @@ from rewax.training.storage.saved import SavedRun
 
 WIDTHS = {"num_envs": 2, "actor_widths": (6, 5), "vector_features": 4, "point_widths": (3, 4), "point_features": 3}
 READ = {
-    "stablehlo": "import jax; from jax import export; from pathlib import Path\n"
-    "call = export.deserialize(bytearray(Path('policy.stablehlo').read_bytes())).call\n"
-    "action = call({name: jax.numpy.asarray(a) for name, a in obs.items()}, jax.numpy.asarray(noise))\n",
     "numpy": "from numpy_policy import NumpyPolicy\npolicy = NumpyPolicy('weights.npz')\n"
     "action = [policy({name: a[i] for name, a in obs.items()}, noise[i]) for i in range(len(noise))]\n"
     "assert 'jax' not in sys.modules\n",
+    "stablehlo": "import jax; from jax import export; from pathlib import Path\n"
+    "call = export.deserialize(bytearray(Path('policy.stablehlo').read_bytes())).call\n"
+    "action = call({name: jax.numpy.asarray(a) for name, a in obs.items()}, jax.numpy.asarray(noise))\n",
 }
 
 
@@ -49,13 +51,14 @@ class SeesPoints(toys.PointMass):
         return state.replace(obs=obs)
 
 
+@functools.cache
 def saved(name, **changes):
     """A run that has seen some observations and learnt nothing."""
     env, known = SeesPoints(gain=jnp.float32(0.5)), algorithm(name)
     config = dataclasses.replace(known.config_type(**WIDTHS), **changes)
     agent = known.make(env, config)
     state = agent.init(jax.random.key(3))
-    statistics = update_statistics(state.environments.statistics, batch(32, seed=1))
+    statistics = jax.jit(update_statistics)(state.environments.statistics, batch(32, seed=1))
     state = state.replace(environments=state.environments.replace(statistics=statistics))
     described = json.loads(json.dumps({"agent": name, name: dataclasses.asdict(config)}))
     return SavedRun(env, agent, state, described)
@@ -67,9 +70,9 @@ def batch(size, seed=0):
     return {name: generator.normal(2.0, 3.0, (size, *s.shape)).astype(np.float32) for name, s in spec.items()}
 
 
-def test_files_that_cannot_be_written_stay_as_they_were(tmp_path, monkeypatch):
-    run = saved("sapo")
-    before = {path: path.read_bytes() for path in export_policy(run, tmp_path)}
+def test_files_that_cannot_be_written_stay_as_they_were(tmp_path, weights, monkeypatch):
+    folder = shutil.copytree(weights.parent, tmp_path / "policy")
+    before = {path: path.read_bytes() for path in folder.iterdir()}
 
     def full(file, **arrays):
         file.write_bytes(b"part")
@@ -77,9 +80,9 @@ def test_files_that_cannot_be_written_stay_as_they_were(tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savez", full)
     with pytest.raises(OSError, match="no space left"):
-        export_policy(run, tmp_path)
-    assert (tmp_path / "weights.npz").read_bytes() == before[tmp_path / "weights.npz"]
-    assert sorted(tmp_path.iterdir()) == sorted(before)
+        export_policy(saved("sapo"), folder)
+    assert (folder / "weights.npz").read_bytes() == before[folder / "weights.npz"]
+    assert sorted(folder.iterdir()) == sorted(before)
 
 
 @pytest.mark.parametrize(
@@ -100,15 +103,14 @@ def test_they_act_as_the_run_does(name, changes, tmp_path):
         "weights.npz",
     ]
     obs, noise = batch(3), np.zeros((3, 2), np.float32)
-    expected = jax.vmap(lambda o: run.agent.policy(run.train_state, o, jax.random.key(0), deterministic=True))(obs)
+    expected = jax.vmap(run.act)(obs)
     np.savez(tmp_path / "given.npz", **obs, noise=noise)
-    for how, read in READ.items():
-        code = (
-            "import sys, numpy as np; sys.path.insert(0, '.'); sys.modules['rewax'] = None\n"
-            "given = dict(np.load('given.npz')); noise = given.pop('noise'); obs = given\n"
-            f"{read}np.save('{how}.npy', action)"
-        )
-        subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    code = (
+        "import sys, numpy as np; sys.path.insert(0, '.'); sys.modules['rewax'] = None\n"
+        "given = dict(np.load('given.npz')); noise = given.pop('noise'); obs = given\n"
+    ) + "".join(f"{read}np.save('{how}.npy', action)\n" for how, read in READ.items())
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    for how in READ:
         np.testing.assert_allclose(np.load(tmp_path / f"{how}.npy"), expected, rtol=1e-4, atol=2e-5)
 
 

@@ -1,6 +1,7 @@
 """Runs from their directories: the same policy, and sentences where there is none to build."""
 
 import dataclasses
+import functools
 import io
 import json
 import shutil
@@ -11,6 +12,7 @@ import pytest
 import toys
 from rich.console import Console
 
+from rewax.agents.apg import APGConfig, make_apg
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs import registry
 from rewax.envs.randomize import Uniform, hook
@@ -25,6 +27,7 @@ from rewax.training.storage.saved import load_run
 CONFIG = SAPOConfig(
     num_envs=2, horizon=3, num_iterations=2, critic_passes=1, critic_minibatches=1, actor_widths=(4, 4), critic_widths=(4,), vector_features=4,
 )  # fmt: skip
+SMALLEST = APGConfig(num_envs=2, horizon=3, num_iterations=2, actor_widths=(4,), vector_features=4)
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +48,9 @@ def test_the_policy_is_the_one_that_was_trained(run):
     saved = load_run(run_dir)
     assert saved.env.episode_length == 7 and saved.config["sapo"]["horizon"] == 3
     obs, key = saved.env.reset(jax.random.key(1)).obs, jax.random.key(2)
+    act = jax.jit(saved.agent.policy, static_argnames="deterministic")
     for deterministic in (True, False):
-        actions = [
-            saved.agent.policy(state, obs, key, deterministic=deterministic)
-            for state in (saved.train_state, train_state)
-        ]
+        actions = [act(state, obs, key, deterministic=deterministic) for state in (saved.train_state, train_state)]
         np.testing.assert_array_equal(*actions)
     assert [int(load_run(run_dir, step=step).train_state.iteration) for step in (1, 2)] == [1, 2]
 
@@ -122,10 +123,8 @@ def test_a_run_from_code_is_loaded_with_its_environment(run, tmp_path):
         load_run(run_dir)
     saved = load_run(run_dir, env=env)
     assert saved.agent.config == CONFIG
-    obs, key = env.reset(jax.random.key(1)).obs, jax.random.key(2)
-    np.testing.assert_array_equal(
-        *[saved.agent.policy(state, obs, key, deterministic=True) for state in (saved.train_state, train_state)]
-    )
+    obs, act = env.reset(jax.random.key(1)).obs, jax.jit(functools.partial(saved.agent.policy, deterministic=True))
+    np.testing.assert_array_equal(*[act(state, obs, jax.random.key(2)) for state in (saved.train_state, train_state)])
 
 
 def test_a_run_from_code_is_loaded_by_the_name_of_its_environment(run, tmp_path):
@@ -194,13 +193,13 @@ def test_a_run_whose_agent_drew_parameters_is_loaded_with_its_draws(run, tmp_pat
     env = registry.make("PointMass", scale="paper")
     quick = {"num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
     config = TrainConfig(num_iterations=1, run_dir=str(tmp_path), eval_every=0, **quick)
-    train(make_sapo(env, CONFIG, randomize=draws), env, config)
+    train(make_apg(env, SMALLEST, randomize=draws), env, config)
     with pytest.raises(ValueError, match=r"load_run\(run_dir, env=Randomized\(env=env, randomize=\.\.\.\)\)$"):
         load_run(tmp_path)
     saved = load_run(tmp_path, env=Randomized(env=env, randomize=draws))
     assert saved.env.reset(jax.random.key(0)).drawn[".gain"] != 0.5
     other = env.replace(gain=0.7)
     console = Console(file=io.StringIO(), width=300)
-    agent = make_sapo(other, CONFIG, randomize=draws)
+    agent = make_apg(other, SMALLEST, randomize=draws)
     train(agent, other, dataclasses.replace(config, resume=True, num_iterations=2), console=console)
     assert "note: the environment given has other values of gain: the run keeps its own" in console.file.getvalue()

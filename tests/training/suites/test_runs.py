@@ -224,7 +224,7 @@ def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch
         return real(agent, env, config, **kwargs)
 
     monkeypatch.setattr(bench, "train", failing)
-    signum, text = run(suite, tmp_path)
+    signum, text = run(dataclasses.replace(suite, seeds=(0,)), tmp_path)
     assert signum == 0 and "failed: MemoryError: no room at all" in text
     assert "| failed |" in (tmp_path / "table.md").read_text()
 

@@ -109,7 +109,7 @@ def test_failing_episodes_make_a_bad_trial_however_short_it_is(monkeypatch):
 
 
 def test_numbers_that_are_not_finite_make_a_bad_trial(tmp_path):
-    broken = toys.PointMass(gain=jnp.float32(jnp.nan))
+    broken = toys.PointMass(gain=jnp.float32(jnp.inf))
     with pytest.raises(Failed, match="infinite or NaN"):
         list(run_trial(TASK, broken, {"noise": 0.1}, Console(file=io.StringIO()), lambda: False))
     assert run_study(TASK, SPACE, broken, tmp_path, 2, Console(file=io.StringIO())) == 0
