@@ -34,7 +34,7 @@ def project(probabilities, moved):
 
 
 def test_projected_probabilities_keep_their_sum_and_their_mean():
-    probabilities = np.array([[0.1, 0.2, 0.3, 0.15, 0.25]])
+    probabilities = np.array([[0.15, 0.2, 0.3, 0.1, 0.25]])
     moved = 0.3 + 0.6 * VALUES[None]
     new = project(probabilities, moved)
     np.testing.assert_allclose(new.sum(), 1.0, rtol=1e-6)
