@@ -30,19 +30,17 @@ from typing import Annotated, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from rewax.agents import replay as replays
 from rewax.agents import sac
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import ReplayConfig, no_memory
-from rewax.agents.legal import AT_LEAST_2, Count, Positive
+from rewax.agents.legal import AT_LEAST_2, Count, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.sac import SACState
-from rewax.agents.temperature import update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -76,7 +74,7 @@ class FlashSACConfig(ReplayConfig):
     initial_temperature: Positive = 0.01
     target_entropy_scale: Positive = 0.478
     batch_size: Count = 2048
-    target_rate: float = 0.01
+    target_rate: Share = 0.01
     normalize_rewards: bool = True
     num_values: Annotated[int, AT_LEAST_2] = 101
     value_limit: Positive = 5.0
@@ -178,44 +176,15 @@ def update(
 
     Each update of the critics has a batch of its own. Rewards are divided by ``scale``, unless it is None.
     """
-    config, statistics, metrics = networks.config, state.environments.statistics, dict[str, Array]()
-    for i, one in enumerate(jax.random.split(key, config.actor_period)):
+    metrics: Metrics = {}
+    for i, one in enumerate(jax.random.split(key, networks.config.actor_period)):
         batch_key, next_key, actor_key = jax.random.split(one, 3)
-        batch = replays.sample(
-            replay, batch_key, config.batch_size, num_steps=config.num_steps, discount=config.discount
-        )
-        obs, next_obs = (networks.normalize(statistics, obs) for obs in (batch.obs, batch.next_obs))
-        reward = batch.reward if scale is None else batch.reward / scale
-        batch = batch._replace(obs=obs, next_obs=next_obs, reward=reward)
+        batch = sac.drawn(networks, replay, scale, state, batch_key)
         if i == 0:
-            state, metrics = actor_update(networks, state, batch, actor_key)
-        state, of_critics = critic_update(networks, state, batch, next_key)
+            state, metrics = sac.actor_update(networks, state, batch, actor_key, actor_loss, bounded)
+        state, of_critics = sac.critic_update(networks, state, batch, next_key, critic_loss, bounded)
         metrics = {**metrics, **of_critics}
     return state, metrics
-
-
-def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One optimizer step of the critics, and one update of the target network."""
-    config = networks.config
-    loss = functools.partial(critic_loss, networks=networks, state=state, batch=batch, key=key)
-    grad, metrics = jax.grad(loss, has_aux=True)(state.critic_params)
-    params, opt = networks.update(config.critic_learning_rate, grad, state.critic_opt, state.critic_params)
-    params = bounded(params)
-    target = optax.incremental_update(params, state.target_params, config.target_rate)
-    return state.replace(critic_params=params, critic_opt=opt, target_params=target), metrics
-
-
-def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One optimizer step of the actor, and one of the temperature."""
-    config = networks.config
-    loss = functools.partial(actor_loss, networks=networks, state=state, batch=batch, key=key)
-    grad, metrics = jax.grad(loss, has_aux=True)(state.actor_params)
-    params, opt = networks.update(config.actor_learning_rate, grad, state.actor_opt, state.actor_params)
-    metrics |= {"actor_grad_norm": optax.tree.norm(grad)}
-    state = state.replace(actor_params=bounded(params), actor_opt=opt)
-    rate, target = config.temperature_learning_rate, -config.target_entropy_scale * networks.action_size
-    state, temperature = update_temperature(networks, state, metrics["entropy"], target=target, learning_rate=rate)
-    return state, {**metrics, **temperature}
 
 
 def critic_loss(

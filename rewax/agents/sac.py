@@ -55,6 +55,8 @@ class SACConfig(ReplayConfig):
 Networks: TypeAlias = ActorCritic[ReplayConfig]
 
 Update: TypeAlias = Callable[["SACState", Key], tuple["SACState", Metrics]]
+Loss: TypeAlias = Callable[..., tuple[Array, Metrics]]
+Bound: TypeAlias = Callable[[PyTree], PyTree]
 
 LARGE_REPLAY = 8e9
 """Size of a replay buffer above which a warning says it [bytes]: pictures at the default capacity have it."""
@@ -205,38 +207,49 @@ def update(
 
     Rewards are divided by ``scale``, unless it is None.
     """
-    config, statistics = networks.config, state.environments.statistics
     batch_key, next_key, actor_key = jax.random.split(key, 3)
-    batch = replays.sample(replay, batch_key, config.batch_size, num_steps=config.num_steps, discount=config.discount)
+    batch = drawn(networks, replay, scale, state, batch_key)
+    state, critic_metrics = critic_update(networks, state, batch, next_key, critic_loss)
+    state, actor_metrics = actor_update(networks, state, batch, actor_key, actor_loss)
+    return state, {**critic_metrics, **actor_metrics}
+
+
+def drawn(networks: Networks, replay: Replay, scale: Array | None, state: SACState, key: Key) -> Sample:
+    """A batch from the replay buffer with normalised observations. Rewards are divided by ``scale``, unless None."""
+    config, statistics = networks.config, state.environments.statistics
+    batch = replays.sample(replay, key, config.batch_size, num_steps=config.num_steps, discount=config.discount)
     obs, next_obs = (networks.normalize(statistics, obs) for obs in (batch.obs, batch.next_obs))
-    batch = batch._replace(obs=obs, next_obs=next_obs, reward=batch.reward if scale is None else batch.reward / scale)
-
-    state, critic_metrics = critic_update(networks, state, batch, next_key)
-    state, actor_metrics = actor_update(networks, state, batch, actor_key)
-    rate, target = config.temperature_learning_rate, -config.target_entropy_scale * networks.action_size
-    entropy = actor_metrics["entropy"]
-    state, temperature = update_temperature(networks, state, entropy, target=target, learning_rate=rate)
-    return state, {**critic_metrics, **actor_metrics, **temperature}
+    return batch._replace(obs=obs, next_obs=next_obs, reward=batch.reward if scale is None else batch.reward / scale)
 
 
-def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One optimizer step of the critics, and one update of the target network."""
+def critic_update(
+    networks: Networks, state: SACState, batch: Sample, key: Key, loss: Loss, bound: Bound | None = None
+) -> tuple[SACState, Metrics]:
+    """One optimizer step of the critics, and one update of the target network.
+
+    ``loss`` has the arguments of ``critic_loss``. ``bound`` is applied to the new parameters.
+    """
     config = networks.config
-    loss = functools.partial(critic_loss, networks=networks, state=state, batch=batch, key=key)
-    grad, metrics = jax.grad(loss, has_aux=True)(state.critic_params)
+    of_params = functools.partial(loss, networks=networks, state=state, batch=batch, key=key)
+    grad, metrics = jax.grad(of_params, has_aux=True)(state.critic_params)
     params, opt = networks.update(config.critic_learning_rate, grad, state.critic_opt, state.critic_params)
+    params = params if bound is None else bound(params)
     target = optax.incremental_update(params, state.target_params, config.target_rate)
     return state.replace(critic_params=params, critic_opt=opt, target_params=target), metrics
 
 
-def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One optimizer step of the actor."""
-    loss = functools.partial(actor_loss, networks=networks, state=state, batch=batch, key=key)
-    grad, metrics = jax.grad(loss, has_aux=True)(state.actor_params)
-    rate = networks.config.actor_learning_rate
-    params, opt = networks.update(rate, grad, state.actor_opt, state.actor_params)
-    metrics |= {"actor_grad_norm": optax.tree.norm(grad)}
-    return state.replace(actor_params=params, actor_opt=opt), metrics
+def actor_update(
+    networks: Networks, state: SACState, batch: Sample, key: Key, loss: Loss, bound: Bound | None = None
+) -> tuple[SACState, Metrics]:
+    """One optimizer step of the actor, and one of the temperature; arguments as for ``critic_update``."""
+    config = networks.config
+    of_params = functools.partial(loss, networks=networks, state=state, batch=batch, key=key)
+    grad, metrics = jax.grad(of_params, has_aux=True)(state.actor_params)
+    params, opt = networks.update(config.actor_learning_rate, grad, state.actor_opt, state.actor_params)
+    state = state.replace(actor_params=params if bound is None else bound(params), actor_opt=opt)
+    rate, target = config.temperature_learning_rate, -config.target_entropy_scale * networks.action_size
+    state, temperature = update_temperature(networks, state, metrics["entropy"], target=target, learning_rate=rate)
+    return state, {**metrics, "actor_grad_norm": optax.tree.norm(grad), **temperature}
 
 
 def critic_loss(
