@@ -138,8 +138,8 @@ _NO_GRADIENT = {"quick_compile": False}
 _FAST_CRITICS: dict[str, dict[str, Value]] = {
     name: {"critic_learning_rate": 2e-3} for name in ("AntRun", "Ant", "Hopper")
 }
-"""Tasks where SHAC's critics have a larger learning rate than the default, as in the reference. AHAC, which the
-reference does not have, takes it from SHAC."""
+"""Tasks where SHAC's critics have a larger learning rate than the default, as in Rewarped. AHAC, which Rewarped
+does not have, takes it from SHAC."""
 _SAPOS_ACTOR: dict[str, Value] = {"activation": "silu", "initial_gain": 1.0, "state_dependent_std": True}
 _SHORT_RUNS: dict[str, Value] = _SAPOS_ACTOR | {"target_decay": 0.2}
 """SHAC and AHAC in runs of a few hundred iterations: SAPO's layers, and a target network that follows in a few."""

@@ -155,5 +155,5 @@ def random_turn(key: Key, bound: float) -> Array:
 
 
 def xyzw(quaternion: Array) -> Array:
-    """A quaternion (w, x, y, z), as MuJoCo orders it, in the order of the reference's observations."""
+    """A quaternion (w, x, y, z), as MuJoCo orders it, in the order of Rewarped's observations."""
     return quaternion[np.array([1, 2, 3, 0])]

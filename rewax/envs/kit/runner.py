@@ -21,7 +21,7 @@ class Runner(RigidTask):
 
     With n hinges, observation ``state`` is 13 + 3 n numbers: height (1), orientation x, y, z, w (4), velocity (3),
     angular velocity (3), joint angles (n), 0.1 joint rates (n), upright (1), heading (1), last action (n). Actions
-    have the opposite sign of the joints' torques, as in the reference. The episode ends when the torso is too low.
+    have the opposite sign of the joints' torques, as in Rewarped. The episode ends when the torso is too low.
 
     Attributes:
       start_height: height of the torso at the start [m].

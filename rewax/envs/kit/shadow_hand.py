@@ -48,7 +48,7 @@ def load_hand(*, scale: float, position: tuple[float, float, float]) -> RigidMod
     for geom in spec.geoms:
         geom.pos, geom.size = scale * np.asarray(geom.pos), scale * np.asarray(geom.size)
     wrist = spec.body("wrist")
-    turn = np.array([-1.0, -1.0, 1.0])  # 180 degrees about z, as the reference goes from z up to y up
+    turn = np.array([-1.0, -1.0, 1.0])  # 180 degrees about z, as Rewarped goes from z up to y up
     wrist.pos, wrist.quat = np.asarray(position) + turn * np.asarray(wrist.pos), [0.0, 0.0, 0.0, 1.0]
     return rigid.load(spec, dt=1e-3)
 

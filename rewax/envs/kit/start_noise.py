@@ -52,6 +52,6 @@ def reset_noise(
 
 
 def round_unit(value: Array, bound: Array) -> Array:
-    """``value`` rounded to thousandths of ``bound``, as in the reference. Gradient: as if it were not rounded."""
+    """``value`` rounded to thousandths of ``bound``, as in Rewarped. Gradient: as if it were not rounded."""
     unit = value / jnp.where(bound > 0.0, bound, 1.0)
     return value + jax.lax.stop_gradient(jnp.round(unit * 1000.0) / 1000.0 * bound - value)

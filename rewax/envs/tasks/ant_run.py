@@ -1,6 +1,6 @@
 """AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it).
 
-Ant is AntRun with DiffRL's contacts and armature. Scale ``paper`` has the numbers of the reference. Scale ``small`` has
+Ant is AntRun with DiffRL's contacts and armature. Scale ``paper`` has the numbers of Rewarped. Scale ``small`` has
 shorter episodes and, in AntRun, longer substeps.
 """
 
@@ -28,7 +28,7 @@ class AntRun(Runner):
     action.
 
     Attributes:
-      stale_mass_matrix: compute the mass matrix once per control step, as the reference does (static).
+      stale_mass_matrix: compute the mass matrix once per control step, as Rewarped does (static).
     """
 
     stale_mass_matrix: bool = struct.static_field(default=False)
@@ -73,9 +73,9 @@ def make_ant_run(
     """Factory for the registry.
 
     Args:
-      scale: ``"paper"``: the reference's 16 substeps and 1000 steps; ``"small"``: 8 substeps, 300 steps.
-      onset: depth of contact at which damping reaches its full strength [m]; the reference has 0.
-      stale_mass_matrix: compute the mass matrix at the first substep of a control step only, as the reference does.
+      scale: ``"paper"``: Rewarped's 16 substeps and 1000 steps; ``"small"``: 8 substeps, 300 steps.
+      onset: depth of contact at which damping reaches its full strength [m]; Rewarped has 0.
+      stale_mass_matrix: compute the mass matrix at the first substep of a control step only, as Rewarped does.
         Torques without a cause then turn an ant that runs (``rigid.step_with_stale_mass``).
       dt, num_substeps: see ``rewax.make``.
     """
@@ -87,7 +87,7 @@ def make_ant_run(
     own, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
     steps = substeps(dt, num_substeps, Substeps(1.0 / 60 / own, own))
     ant = _ant("ant_run.xml", penalty, steps, max_steps=max_steps)
-    # The reference's importer adds the armature of a hinge to all moments of inertia of its link, too.
+    # Rewarped's importer adds the armature of a hinge to all moments of inertia of its link, too.
     armature = ant.model.parameters["dof_armature"][6:, None]
     inertia = ant.model.parameters["body_inertia"].at[_FIRST_LINK:].add(armature)
     return ant.replace(model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=stale_mass_matrix)

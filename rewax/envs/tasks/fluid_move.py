@@ -65,9 +65,9 @@ class FluidMove(SoftTask):
     Attributes:
       target_lower, target_upper: range of the target relative to the start of the container [m], shape (3,).
       outer: half edges of the box, centered at the container, outside of which water is spilt [m], shape (3,).
-      spill_width: width of the sigmoid of the distance outside this box [m]. The reference has 1e-5: the derivative is
+      spill_width: width of the sigmoid of the distance outside this box [m]. Rewarped has 1e-5: the derivative is
         then zero almost everywhere.
-      distance_scale: unit of the distance to the target [m]. The reference has 1, for which the reward is nearly flat.
+      distance_scale: unit of the distance to the target [m]. Rewarped has 1, for which the reward is nearly flat.
       relative: whether water and target are observed relative to the container. Then the position of the container and
         the mean of the water are not observed (static).
     """
@@ -150,7 +150,7 @@ def container(
 
 
 def _outer(inner: tuple[float, float, float], thickness: float) -> Array:
-    """Half edges of the box outside which water is spilt. As in the reference, its top is half a wall above the rim."""
+    """Half edges of the box outside which water is spilt. As in Rewarped, its top is half a wall above the rim."""
     length, height, width = inner
     return jnp.asarray([length / 2 + thickness, (height + thickness) / 2, width / 2 + thickness])
 
@@ -187,7 +187,7 @@ def paper(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> FluidMove:
-    """The constants of the reference. The container starts below its lower limit, and the first step lifts it there."""
+    """The constants of Rewarped. The container starts below its lower limit, and the first step lifts it there."""
     r = REFERENCE
     steps = substeps(dt, num_substeps, Substeps(r["dt"], r["num_substeps"], list_every=5))
     scene = mpm.make_scene(

@@ -1,6 +1,6 @@
 """GripperLift: two fingers grasp a soft block and lift it. The block exerts forces on the fingers, too.
 
-The reference has no such task: here motors move the fingers, and the block pushes back. A policy that squeezes too
+Rewarped has no such task: here motors move the fingers, and the block pushes back. A policy that squeezes too
 little, or pulls too hard, loses the block. The gradient of the height reaches the squeezing force through the contact
 of the particles.
 """

@@ -48,7 +48,7 @@ def make_half_cheetah(
 
     Args:
       scale: ``"paper"``: 16 substeps and 1000 steps; ``"small"``: 8 substeps and 300 steps.
-      onset: depth of contact at which damping reaches its full strength [m]; the reference has 0.
+      onset: depth of contact at which damping reaches its full strength [m]; Rewarped has 0.
       dt, num_substeps: see ``rewax.make``.
     """
     own, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]

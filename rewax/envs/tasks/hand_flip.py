@@ -47,7 +47,7 @@ REFERENCE = {
     "num_observed": 250,
     "stride": 10,
 }
-"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. The reference
+"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. Rewarped
 squares a length for the volume of a particle; with a prescribed hand the volume does not affect the motion."""
 
 START = (
@@ -148,7 +148,7 @@ def paper(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> HandFlip:
-    """The constants of the reference."""
+    """The constants of Rewarped."""
     steps = substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"], list_every=5))
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     scene = mpm.make_scene(

@@ -51,8 +51,8 @@ class HandLift(HandTask):
     """The task; ``rewax.make("HandLift", scale=...)`` builds it.
 
     Attributes:
-      datum: height at which the reward is 0 [m]; 0 in the reference.
-      unit: height above the datum at which the reward is 1 [m]; 1 in the reference.
+      datum: height at which the reward is 0 [m]; 0 in Rewarped.
+      unit: height above the datum at which the reward is 1 [m]; 1 in Rewarped.
     """
 
     datum: Vector
@@ -109,7 +109,7 @@ def _hand_lift(*, grid: Grid, steps: Substeps, softness: float, walls: dict, sce
 
 
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> HandLift:
-    """The constants of the reference."""
+    """The constants of Rewarped."""
     r = REFERENCE
     bound = 3.0 / r["grid"]
     return _hand_lift(

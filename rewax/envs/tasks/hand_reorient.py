@@ -1,6 +1,6 @@
 """HandReorient: an Allegro hand, palm up, catches a cube and turns it to a goal orientation.
 
-The z axis of the world points up. Scale ``paper`` has the hand, cube, goal and control step of the reference. Scale
+The z axis of the world points up. Scale ``paper`` has the hand, cube, goal and control step of Rewarped. Scale
 ``small`` has longer substeps and shorter episodes.
 """
 
@@ -78,8 +78,8 @@ class HandReorient(RigidTask):
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
         """-10 distance + 1 / (angle + 0.1) - 0.0002 |action|^2 + bonus, with a bonus of at most 125.
 
-        The bonus is that of the reference: 250 sigmoid(-|s - 1| / width), where s = 1 - sigmoid((angle - tolerance) /
-        width) is near 1 if the goal is reached. The reference has a flag that keeps s at 1 after a goal was reached;
+        The bonus is that of Rewarped: 250 sigmoid(-|s - 1| / width), where s = 1 - sigmoid((angle - tolerance) /
+        width) is near 1 if the goal is reached. Rewarped has a flag that keeps s at 1 after a goal was reached;
         it is always 0 there, because the goal has changed by the next reward, and so it is left out here.
         """
         distance, angle = self._distance(physics), self._angle(physics)
@@ -156,7 +156,7 @@ def make_hand_reorient(
 
 
 _SELF = Penalty(stiffness=2000.0, damping=100.0, friction_damping=100.0, onset=1e-3)
-"""Contact of the hand with itself. It is as stiff as about four points of the reference: poses stay near its poses."""
+"""Contact of the hand with itself. It is as stiff as about four points of Rewarped: poses stay near its poses."""
 _FIRM = Penalty(
     stiffness=8000.0,
     damping=100.0,

@@ -58,7 +58,7 @@ def make_hopper(*, scale: str, onset: float = 0.01, dt: float | None = None, num
 
     Args:
       scale: ``"paper"``: 16 substeps and 1000 steps of 1/60 s; ``"small"``: 300 steps.
-      onset: depth of contact at which damping reaches its full strength [m]. The reference has 0, a jump that no
+      onset: depth of contact at which damping reaches its full strength [m]. Rewarped has 0, a jump that no
         derivative contains (``docs/rigid_tasks.md``).
       dt, num_substeps: see ``rewax.make``.
     """

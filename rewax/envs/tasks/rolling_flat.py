@@ -84,10 +84,10 @@ def paper(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> RollingFlat:
-    """The constants of the reference.
+    """The constants of Rewarped.
 
-    The reference has 48 nodes along each axis. The 49th node lies behind the walls; with it particles have the bounds
-    of the reference. The list of active nodes is long enough for dough that covers the whole table;
+    Rewarped has 48 nodes along each axis. The 49th node lies behind the walls; with it particles have the bounds
+    of Rewarped. The list of active nodes is long enough for dough that covers the whole table;
     ``Status.INACTIVE_NODES`` reports when it is too short (``benchmarks/active_nodes.py`` measures what is needed).
     """
     size, count = (0.3, 0.125, 0.3), 2592

@@ -139,7 +139,7 @@ def _soft_jumper(
 
 
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumper:
-    """The constants of the reference."""
+    """The constants of Rewarped."""
     return _soft_jumper(substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"])))
 
 
@@ -147,7 +147,7 @@ def small(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJu
     """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     return _soft_jumper(
         substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 16.0, 16)),
-        friction_damping=2.0,  # with that of the reference, the lightest vertices are unstable: the substep is too long
+        friction_damping=2.0,  # with that of Rewarped, the lightest vertices are unstable: the substep is too long
         max_steps=90,
         noise=reset_noise((-0.8, 0.0, -0.8), (0.8, 0.1, 0.8), 0.02),
     )

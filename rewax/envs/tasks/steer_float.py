@@ -1,6 +1,6 @@
 """SteerFloat: a paddle steers a soft float across a basin of water onto a mark.
 
-The reference has no such task: two materials, water and an elastic solid, move each other. A paddle that does not
+Rewarped has no such task: two materials, water and an elastic solid, move each other. A paddle that does not
 touch the float still moves it through the water, so the gradient is useful from the first step on. The paddle cannot
 pull: it has to push a float that drifts beyond the mark from the other side.
 """
