@@ -68,6 +68,7 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
     assert ahac.max_env_grad_norm == 10.0 and ahac_preset("Hopper", "paper").max_env_grad_norm is None
     assert ahac_preset("Quadruped", "small").max_env_grad_norm is None
     assert [ahac_preset(*task).horizon for task in (("AntRun", "paper"), ("AntRun", "small"))] == [32, 64]
+    assert [ahac_preset("AntRun", scale).actor_value for scale in ("paper", "small")] == ["mean", "min"]
     ablations = read_suite("ablations")
     for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
         for name in (*ACTOR, "target_decay"):
