@@ -9,6 +9,7 @@ import numpy as np
 from rewax.physics import mpm
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.arguments import check_instance
 from rewax.physics.numerics.checks import static_integer
 
 FIELDS = ("x", "v", "C", "F", "memory")
@@ -50,8 +51,11 @@ def locate_nan(scene: MPMScene, state: MPMState, poses: Pose, *, list_every: int
       ...     print(locate_nan(env.scene, previous.physics.soft, poses, list_every=env.list_every))
 
     Raises:
-      ValueError: ``list_every`` is not a positive integer.
+      ValueError: ``list_every`` is not a positive integer, or another argument is of another type.
     """
+    check_instance("scene", scene, MPMScene, "give that of the environment, env.scene for example")
+    check_instance("state", state, MPMState, "give particles, state.physics.soft for example")
+    check_instance("poses", poses, Pose, "give poses of the scene's bodies, mpm.static_poses(20) for example")
     substeps = poses.position.shape[0] - 1
     every = static_integer("list_every", max(1, substeps) if list_every is None else list_every, 1, "give 1 or more")
     first = _first_bad(state)

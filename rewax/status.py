@@ -90,6 +90,12 @@ def all_finite(tree: PyTree) -> Array:
 
 
 def describe(status: int) -> str:
-    """Names of the bits of a status, joined by ``|``: ``describe(3) == 'NAN|OUT_OF_DOMAIN'``."""
+    """Names of the bits of a status, joined by ``|``: ``describe(3) == 'NAN|OUT_OF_DOMAIN'``.
+
+    Raises:
+      ValueError: a bit that is none of ``Status``.
+    """
+    if int(status) & ~sum(Status):
+        raise ValueError(f"status is {status}, which has bits that are none of Status: give a State.status")
     names = [bit.name or "" for bit in Status if bit is not Status.OK and status & bit]
     return "|".join(names) or "OK"

@@ -70,3 +70,16 @@ def test_lists_of_active_nodes_are_made_as_often_as_the_task_makes_them(falling,
             assert len(made) == count, every
     with pytest.raises(ValueError, match="list_every is 0: give 1 or more"):
         locate_nan(*falling, list_every=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"scene": None}, "scene is None: give that of the environment"),
+        ({"state": 3.0}, "state is 3.0: give particles, state.physics.soft"),
+        ({"poses": None}, "poses is None: give poses of the scene's bodies"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(falling, change, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}"):
+        locate_nan(**{**dict(zip(("scene", "state", "poses"), falling, strict=True)), **change})

@@ -341,6 +341,8 @@ def test_a_reward_that_comes_late_passes_with_more_steps(capsys):
     assert "gradient through 4 steps" in capsys.readouterr().out
     with pytest.raises(ValueError, match=r"^gradient_steps is 0: use 1 or more$"):
         check_env(toys.point_mass(), gradient_steps=0)
+    with pytest.raises(ValueError, match=r"^env is 'RollingFlat': give an environment"):
+        check_env("RollingFlat")
 
 
 def test_a_gradient_that_is_changed_on_purpose_passes_on_request():

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from rewax.envs.base import Env, State
+from rewax.envs.registry import require_env
 from rewax.envs.wrappers import AutoReset, Vmap, is_or_contains
 from rewax.status import describe
 
@@ -71,7 +72,8 @@ def checked_num_envs(num_envs: Any) -> int:
 
 
 def check_one_episode(env: Any) -> None:
-    """Raises ValueError for environments that begin anew by themselves, and for batches."""
+    """Raises ValueError unless a value is one environment: for batches too, and for what begins anew by itself."""
+    require_env(env)
     for kind, remedy in ((AutoReset, "give it without: reset begins an episode"), (Vmap, "give one environment")):
         if is_or_contains(env, kind):
             raise ValueError(f"the environment has {kind.__name__}: {remedy}")

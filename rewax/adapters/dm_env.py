@@ -27,8 +27,8 @@ class DmEnvironment(dm_env.Environment):
       seed: seed of the first states of all episodes.
 
     Raises:
-      ValueError: the environment resets by itself or is a batch. ``step``: an action of another shape, or one that is
-        not finite.
+      ValueError: ``env`` is no environment, resets by itself or is a batch. ``step``: an action of another shape, or
+        one that is not finite.
     """
 
     def __init__(self, env: Env, *, seed: int = 0) -> None:

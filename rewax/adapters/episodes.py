@@ -14,6 +14,7 @@ from rewax.adapters.conversion import (
     numpy_metrics,
 )
 from rewax.envs.base import Env, State
+from rewax.envs.registry import require_env
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.status import describe
 
@@ -31,10 +32,11 @@ class Episodes:
       flat: observations are one vector for each environment, arrays in the order of their names.
 
     Raises:
-      ValueError: the environment resets by itself or is a batch, or ``num_envs`` is below 1.
+      ValueError: ``env`` is no environment, resets by itself or is a batch, or ``num_envs`` is below 1.
     """
 
     def __init__(self, env: Env, num_envs: int, *, flat: bool = False) -> None:
+        require_env(env)
         self.env, self.num_envs, self.flat = env, checked_num_envs(num_envs), flat
         self._reset, self._step = compiled(Vmap(env=AutoReset(env=env)))
         self._state: State | None = None

@@ -28,7 +28,8 @@ from rewax.adapters.conversion import (
 )
 from rewax.adapters.gymnasium_ids import register_envs
 from rewax.envs.base import ArraySpec, Env, State
-from rewax.envs.registry import make
+from rewax.envs.kit.options import integer_option
+from rewax.envs.registry import make, require_env
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.training.evaluation.recording import snapshots
 from rewax.viz.steady import SteadyPictures
@@ -55,8 +56,8 @@ class GymnasiumEnv(gymnasium.Env):
       size: height and width of a picture.
 
     Raises:
-      ValueError: another render mode, or the environment resets by itself or is a batch. ``step``: an action of another
-        shape, or one that is not finite.
+      ValueError: another render mode or size, ``env`` is no environment, resets by itself or is a batch. ``step``:
+        an action of another shape, or one that is not finite.
       gymnasium.error.ResetNeeded: ``step`` or ``render`` before ``reset``.
     """
 
@@ -66,7 +67,7 @@ class GymnasiumEnv(gymnasium.Env):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {render_mode!r}: give 'rgb_array' or None")
         check_one_episode(env)
-        self.env, self.render_mode, self._size = env, render_mode, size
+        self.env, self.render_mode, self._size = env, render_mode, _checked_size(size)
         self._record = None if render_mode is None else snapshots(env)
         if getattr(env, "control_dt", None):
             self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / float(env.control_dt)))}  # type: ignore[attr-defined]
@@ -113,14 +114,15 @@ class GymnasiumVectorEnv(VectorEnv):
       flat: observations are one vector for each environment, arrays in the order of their names.
 
     Raises:
-      ValueError: the environment resets by itself or is a batch, or ``num_envs`` is below 1. ``step``: actions of
-        another shape, or not finite.
+      ValueError: ``env`` is no environment, resets by itself or is a batch, or ``num_envs`` is below 1. ``step``:
+        actions of another shape, or not finite.
       gymnasium.error.ResetNeeded: ``step`` before ``reset``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, env: Env, num_envs: int, *, flat: bool = False) -> None:
+        require_env(env)
         self.env, self.num_envs, self.flat = env, checked_num_envs(num_envs), flat
         space = observation_space(env)
         self.single_observation_space = spaces.flatten_space(space) if flat else space
@@ -190,6 +192,15 @@ def make_gymnasium_vector_env(
 ) -> GymnasiumVectorEnv:
     """Entry point of ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)``."""
     return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs, flat=flat)
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    """Height and width of a picture."""
+    remedy = "give height and width in pixels, (360, 480) for example"
+    if not isinstance(size, (tuple, list)) or len(size) != 2:
+        raise ValueError(f"size is {size!r}: {remedy}")
+    height, width = (integer_option(f"size[{i}]", pixels, remedy) for i, pixels in enumerate(size))
+    return height, width
 
 
 def observation_space(env: Env) -> spaces.Dict:

@@ -35,8 +35,8 @@ class StableBaselinesVecEnv(VecEnv):
       flat: observations are one vector, for ``"MlpPolicy"``; else a dict, for ``"MultiInputPolicy"``.
 
     Raises:
-      ValueError: the environment resets by itself or is a batch, or ``num_envs`` is below 1. A step: no episode has
-        begun, or actions of another shape, or not finite.
+      ValueError: ``env`` is no environment, resets by itself or is a batch, or ``num_envs`` is below 1. A step: no
+        episode has begun, or actions of another shape, or not finite.
     """
 
     def __init__(self, env: Env, num_envs: int, *, seed: int = 0, flat: bool = False) -> None:

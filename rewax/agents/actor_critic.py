@@ -45,6 +45,12 @@ class Actor(Generic[P]):
     action_size: int
     observation_spec: dict[str, ArraySpec]
 
+    @property
+    def shapes_read(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the observations that the policy reads, by name, without its memory."""
+        shapes = {name: tuple(spec.shape) for name, spec in self.observation_spec.items() if name != MEMORY}
+        return {name: shapes[name] for name in shapes if name in (self.config.observe or shapes)}
+
     def normalize(self, statistics: RunningStatistics, obs: Observation) -> Observation:
         """The observations that the networks take as input. Gradient: exact with respect to obs."""
         if not self.config.normalize_observations:
@@ -157,6 +163,12 @@ class PolicyWithMemory:
     def initial_memory(self) -> Array:
         """The memory at the beginning of an episode, shape (size,)."""
         return jnp.zeros(self.actor.config.memory)
+
+
+def actor_of(policy: Callable[..., Any]) -> Actor[Any] | None:
+    """The actor of an ``Agent.policy`` that ``actor_agent`` made; None for another policy."""
+    actor = policy.actor if isinstance(policy, PolicyWithMemory) else getattr(policy, "__self__", None)
+    return actor if isinstance(actor, Actor) else None
 
 
 @dataclasses.dataclass(frozen=True)

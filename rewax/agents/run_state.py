@@ -17,6 +17,7 @@ from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.memory import MEMORY, Remembering, check_no_memory
 from rewax.envs.randomized import Randomize, Randomized, check_hook
+from rewax.envs.registry import require_env
 from rewax.envs.wrappers import AutoReset, Vmap, is_or_contains
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -179,9 +180,10 @@ def partition(env: Env, num_envs: int, randomize: Randomize | None = None, *, me
     With ``memory`` > 0 the environments carry a memory of this size.
 
     Raises:
-      ValueError: the batch size is not ``num_envs``, the environment resets by itself, or ``randomize`` or ``memory``
-        does not fit it.
+      ValueError: ``env`` is no environment, the batch size is not ``num_envs``, the environment resets by itself, or
+        ``randomize`` or ``memory`` does not fit it.
     """
+    require_env(env)
     if is_or_contains(env, AutoReset):
         raise ValueError("env has an AutoReset, but agents reset by themselves: give the environment without AutoReset")
     batched = isinstance(env, Vmap) and env.env_axis is not None

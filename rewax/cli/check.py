@@ -80,9 +80,11 @@ def run(argv: Sequence[str]) -> int:
         return _PROBLEM_FOUND
     except Exception as error:
         known_error = user_error(error, f"the check of {options.algo or options.env}")
-        if " failed at " not in str(known_error):  # not in a user's code
+        in_users_code = " failed at " in str(known_error)
+        if not in_users_code and not isinstance(error, (TypeError, AttributeError)):
             raise
-        print(f"problem: {known_error}", file=sys.stderr)
+        where = "" if in_users_code else ": look at what its methods return"
+        print(f"problem: {known_error}{where}", file=sys.stderr)
         return _PROBLEM_FOUND
     left = [decision for decision in where_it_runs(env) if decision.reason] if options.in_cpp else []
     for decision in left:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rewax.cli.options import Imports, build_env, import_modules, parse
+from rewax.training.storage.modules import user_error
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,6 +95,8 @@ def _print_table(names: Sequence[str]) -> None:
             row = summary(name), ", ".join(_arguments(_factory(name), defaults=False))
         except ValueError as error:  # of a factory that cannot be imported
             row = str(error), ""
+        except Exception as error:  # of the module that it is in
+            row = str(user_error(error, "the import of its factory")), ""
         table.add_row(name, *row)
     console = Console(highlight=False, markup=False)
     console.print(table)

@@ -47,6 +47,7 @@ _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _WRONG_PATH = (
     errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENAMETOOLONG
 )  # fmt: skip
+_SMALLER = "take fewer environments, episodes, pixels or particles, or a machine with more"
 _CLEAN_EXIT, _CANNOT_GO_ON, _BAD_INPUT = 0, 1, 2
 
 
@@ -57,8 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
       argv: name of the command and its arguments; by default those of the process.
 
     Returns:
-      Exit code: 0; 1 after a run that failed; 2 after a sentence about an error in the input; 128 + signal after an
-      interruption.
+      Exit code: 0; 1 after a run that failed, or where memory or disk are too small; 2 after a sentence about an error
+      in the input; 128 + signal after an interruption.
     """
     # Set before jax is imported: jax 0.10 prints an "error" for every program that it finds in its cache.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -71,6 +72,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return _BAD_INPUT
+    except (MemoryError, RuntimeError) as error:  # NumPy's, and that of a device
+        if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        needed = next(iter(str(error).splitlines()), "").rstrip(".") or "out of memory"
+        print(f"error: the memory is too small ({needed}): {_SMALLER}", file=sys.stderr)
+        return _CANNOT_GO_ON
     except KeyboardInterrupt:  # before the training loop handles it
         return 128 + signal.SIGINT
     except BrokenPipeError:  # the reader of the output has ended, such as `head`

@@ -64,7 +64,8 @@ def run(argv: Sequence[str]) -> int:
     """Write a record and print what it holds.
 
     Raises:
-      ValueError: there is no such environment, parameter, script or policy, or an action has another size.
+      ValueError: there is no such environment, parameter, script or policy, an action has another size, or there would
+        be no second frame.
     """
     import jax
 
@@ -88,8 +89,12 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"--set gives {several[0]} {len(grid[several[0]])} values: a record has one, so give one")
     values = {name: number for name, (number,) in grid.items()}
     moved = with_parameters(env, values) if values else env
+    script = _script(options, env, saved)
+    steps = len(script) if saved is None else options.steps
+    if options.every > steps:
+        raise ValueError(f"--every is {options.every} with {steps} steps: give at most {steps}, for a second frame")
     made = record(
-        moved, _script(options, env, saved), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
+        moved, script, jax.random.key(options.seed), num_steps=options.steps, every=options.every,
         noise=options.noise, occlusion=options.occlusion, num_points=options.points,
         source=json.dumps({**(recipe(env) or {}), "values": values}),
     )  # fmt: skip

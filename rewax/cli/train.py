@@ -9,13 +9,13 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 from rich.console import Console
 
 from rewax.agents.config import steps_in
-from rewax.agents.legal import NATURAL, Count, Natural, Seed
+from rewax.agents.legal import NATURAL, Count, Legal, Natural, Seed, is_whole
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
 from rewax.cli.env_from import env_and_scale, env_arguments, sentences
@@ -24,6 +24,14 @@ from rewax.envs.randomize.stored import read_result
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
+_MOST_SEEDS = 1024
+_NumSeeds: TypeAlias = Annotated[
+    int,
+    Legal(
+        f"give an integer from 1 to {_MOST_SEEDS}, and start several commands for more",
+        lambda v: is_whole(v) and 1 <= v <= _MOST_SEEDS,
+    ),
+]
 _OPTION = re.compile(r"^--[^=]+")
 
 
@@ -264,7 +272,7 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
             ("algo", str, first.algo),
             ("imports", Imports, ()),
             ("seed", Seed, 0),
-            ("num_seeds", Count, 1),
+            ("num_seeds", _NumSeeds, 1),
             ("steps", Count | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),

@@ -7,7 +7,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper, check_inside, forwarded, observed_names
+from rewax.envs.wrappers import _Wrapper, check_began, check_inside, forwarded, observed_names
 from rewax.types import Array, Key, Observation
 
 
@@ -31,6 +31,7 @@ class History(struct.Replaceable, _Wrapper):
 
     Raises:
       ValueError: ``steps`` is below 1, ``of`` has an unknown name, or the wrapper is around ``AutoReset`` or a batch.
+        ``step``: the state is that of ``env`` alone.
     """
 
     steps: int = struct.static_field(default=4)
@@ -46,12 +47,7 @@ class History(struct.Replaceable, _Wrapper):
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
-        def longer(spec: ArraySpec) -> ArraySpec:
-            *leading, last = spec.shape or (1,)
-            return ArraySpec((*leading, last * self.steps), spec.low, spec.high)
-
-        spec = self.env.observation_spec
-        return {name: longer(one) if self._holds(name) else one for name, one in spec.items()}
+        return self._longer(self.env.observation_spec)
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)
@@ -59,6 +55,9 @@ class History(struct.Replaceable, _Wrapper):
 
     def step(self, state: State, action: Array) -> State:
         spec = self.env.observation_spec
+        longer = self._longer(spec)
+        held = {name: value for name, value in state.obs.items() if self._holds(name)}
+        check_began(self, all(np.shape(value) == longer[name].shape for name, value in held.items()))
         past = [self._past(state.obs, spec, i) for i in range(self.steps)]
         new = self.env.step(state.replace(obs=past[0]), action)
         return new.replace(obs=self._stacked(new.obs, past[:-1]))
@@ -69,6 +68,15 @@ class History(struct.Replaceable, _Wrapper):
 
     def _holds(self, name: str) -> bool:
         return self.of is None or name in self.of
+
+    def _longer(self, specs: dict[str, ArraySpec]) -> dict[str, ArraySpec]:
+        """The specifications of the observations side by side."""
+
+        def longer(spec: ArraySpec) -> ArraySpec:
+            *leading, last = spec.shape or (1,)
+            return ArraySpec((*leading, last * self.steps), spec.low, spec.high)
+
+        return {name: longer(one) if self._holds(name) else one for name, one in specs.items()}
 
     def _stacked(self, newest: Observation, past: list[Observation]) -> Observation:
         def one(name: str, value: Array) -> Array:

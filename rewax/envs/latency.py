@@ -8,8 +8,8 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.kit.checks import check_action
-from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, forwarded, observed_names
+from rewax.envs.kit.checks import checked_action
+from rewax.envs.wrappers import _Wrapper, check_began, check_inside, count_inside, forwarded, observed_names
 from rewax.physics.numerics.clipping import clipped
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -60,8 +60,8 @@ class Latency(struct.Replaceable, _Wrapper):
       state that it shows. None flows from a new episode to the old one.
 
     Raises:
-      ValueError: a delay is no integer of at least 0 and no range of them, ``of`` has an unknown name, or the wrapper
-        is around ``AutoReset`` or a batch.
+      ValueError: a delay is no integer of at least 0 and no range of them, or as long as an episode; ``of`` has an
+        unknown name; or the wrapper is around ``AutoReset`` or a batch. ``step``: the state is that of ``env`` alone.
     """
 
     observation: Steps = struct.static_field(default=0)
@@ -71,7 +71,12 @@ class Latency(struct.Replaceable, _Wrapper):
     def __post_init__(self) -> None:
         check_inside(self)
         for name in ("observation", "action"):
-            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+            steps, most = _checked(name, getattr(self, name)), self.episode_length
+            if _longest(steps) >= most:
+                raise ValueError(
+                    f"{name} of the latency is {steps}, but an episode has {most} control steps: give fewer"
+                )
+            object.__setattr__(self, name, steps)
         object.__setattr__(self, "of", observed_names(self.env, self.of))
 
     def reset(self, key: Key) -> State:
@@ -91,7 +96,8 @@ class Latency(struct.Replaceable, _Wrapper):
         return state.replace(delayed=flight)
 
     def step(self, state: State, action: Array) -> State:
-        check_action(action, self.action_spec)
+        action = checked_action(action, self.action_spec)
+        check_began(self, isinstance(state.delayed, InFlight))
         flight: InFlight = state.delayed  # type: ignore[assignment]
         given = jnp.concatenate([_clipped(action, self.action_spec, flight.actions.dtype)[None], flight.actions])
         present = {name: history[0] for name, history in flight.observations.items()}

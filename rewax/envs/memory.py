@@ -7,7 +7,9 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import MEMORY_LEAF, ArraySpec, Env, State, with_first_observations, with_observations
-from rewax.envs.wrappers import _Wrapper, check_inside
+from rewax.envs.kit.checks import as_numbers
+from rewax.envs.kit.options import integer_option
+from rewax.envs.wrappers import _Wrapper, check_began, check_inside
 from rewax.status import FATAL
 from rewax.types import Array, Key
 
@@ -39,7 +41,9 @@ class Remembering(struct.Replaceable, _Wrapper):
     Gradient: exact, through the memory to the steps that wrote it.
 
     Raises:
-      ValueError: the wrapper is around ``AutoReset`` or a batch. ``step``: the action is no ``Remembered``.
+      ValueError: ``size`` is no integer of at least 1, ``start`` has another shape, or the wrapper is around
+        ``AutoReset`` or a batch. ``step``: the action is no ``Remembered``, its memory has another shape, or the state
+        is that of ``env`` alone.
     """
 
     size: int = struct.static_field(default=1)
@@ -47,6 +51,10 @@ class Remembering(struct.Replaceable, _Wrapper):
 
     def __post_init__(self) -> None:
         check_inside(self)
+        size = integer_option("size", self.size, "give the number of components of the memory")
+        object.__setattr__(self, "size", size)
+        if self.start is not None:
+            object.__setattr__(self, "start", self._checked("start", self.start))
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
@@ -57,16 +65,26 @@ class Remembering(struct.Replaceable, _Wrapper):
         start = jnp.zeros(self.size) if self.start is None else self.start
         return with_first_observations(state, {MEMORY: start.astype(state.reward.dtype)}, leaf=MEMORY_LEAF)
 
+    def _checked(self, name: str, memory: Any) -> Array:
+        """The memory as an array. Raises ValueError if it has another shape than ``(size,)``."""
+        remedy = f"give numbers of shape ({self.size},)"
+        memory = as_numbers(name, memory, remedy)
+        if memory.shape != (self.size,):
+            raise ValueError(f"{name} has shape {memory.shape}: {remedy}")
+        return memory
+
     def step(self, state: State, action: Remembered) -> State:  # type: ignore[override]
         if not isinstance(action, Remembered):
             raise ValueError(
                 f"the policy returned {type(action).__name__}, but it has a memory of {self.size}: let it return "
                 "Remembered(action, memory), or give memory=0"
             )
+        check_began(self, MEMORY in state.obs)
+        memory = self._checked("the memory that the policy returned", action.memory)
         own = {name: value for name, value in state.obs.items() if name != MEMORY}
         new = self.env.step(state.replace(obs=own), action.action)
         failed = (new.status & int(FATAL)) != 0
-        memory = jnp.where(failed, state.obs[MEMORY], action.memory.astype(state.obs[MEMORY].dtype))
+        memory = jnp.where(failed, state.obs[MEMORY], memory.astype(state.obs[MEMORY].dtype))
         return with_observations(new, {MEMORY: memory}, state.obs, leaf=MEMORY_LEAF)
 
 

@@ -1,12 +1,12 @@
 """Sensors by name: what ``rewax.make(..., sensors=("camera",))`` adds to a task."""
 
-import importlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 
+from rewax.envs.factories import check_name_and_factory, imported
 from rewax.envs.sensing import Sensing, Sensor
 from rewax.sensors.camera import Camera
 from rewax.sensors.depth_cloud import DepthCloud
@@ -33,10 +33,10 @@ def register_sensor(name: str, factory: SensorFactory) -> None:
       factory: called as ``factory(env, resolution)`` with an environment and the pixels along a side of its pictures.
 
     Raises:
-      ValueError: the name is taken by another factory, or a string is not of that form.
+      ValueError: the name is no string or is taken by another factory, or the factory is neither a function nor a
+        string of that form.
     """
-    if isinstance(factory, str) and factory.count(":") != 1:
-        raise ValueError(f"the factory of {name!r} is {factory!r}: give a function or 'package.module:function'")
+    check_name_and_factory("a sensor", name, factory)
     if _FACTORIES.get(name, factory) != factory:
         raise ValueError(f"a sensor named {name!r} is registered already: choose another name")
     _FACTORIES[name] = factory
@@ -59,8 +59,8 @@ def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) 
       resolution: pixels along each side of pictures; None: ``RESOLUTION``.
 
     Raises:
-      ValueError: there is no such sensor, the environment cannot have it, the resolution is no positive integer, or
-        none of the sensors takes pictures.
+      ValueError: there is no such sensor, its factory cannot be imported, the environment cannot have it, the
+        resolution is no positive integer, or none of the sensors takes pictures.
     """
     names = check_names(names)
     if resolution is not None and names and all(_FACTORIES[name] is _touch for name in names):
@@ -68,7 +68,7 @@ def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) 
     size = RESOLUTION if resolution is None else resolution
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
         raise ValueError(f"resolution is {resolution!r}: give an integer of pixels, at least 1")
-    return Sensing(env=env, sensors={name: _factory(name)(env, int(size)) for name in names})
+    return Sensing(env=env, sensors={name: imported(name, _FACTORIES[name])(env, int(size)) for name in names})
 
 
 def check_names(names: Any) -> tuple[str, ...]:
@@ -116,17 +116,6 @@ def _cloud(env: Any, resolution: int) -> DepthCloud:
 
 def _labels(env: Any, resolution: int) -> Labels:
     return Labels(camera=default_camera(env, resolution))
-
-
-def _factory(name: str) -> Callable[[Any, int], Sensor]:
-    factory = _FACTORIES[name]
-    if not isinstance(factory, str):
-        return factory
-    module, function = factory.split(":")
-    found = getattr(importlib.import_module(module), function, None)
-    if found is None:
-        raise ValueError(f"the factory of {name!r} is {factory!r}, but {module} has no {function}: correct it")
-    return found
 
 
 def _can_feel(bare: Any) -> bool:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.envs.base import State
 from rewax.envs.copied_geoms import check_colliders
-from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, is_number
+from rewax.envs.wrappers import _Wrapper, check_began, check_inside, count_inside, is_number
+from rewax.physics.numerics.checks import shown
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
@@ -32,23 +33,26 @@ class Randomized(_Wrapper):
       the ``reset`` of the episode, and not if ``AutoReset`` made it.
 
     Raises:
-      ValueError: the wrapper is around ``AutoReset`` or a batch. ``reset``: the hook changes a shape, a static field,
-        or the type of a parameter from integer to float.
+      ValueError: ``randomize`` is no function, or the wrapper is around ``AutoReset`` or a batch. ``reset``: the hook
+        returns no environment, or changes a shape, a static field, or the type of a parameter from integer to float.
+        ``step``: the state has no drawn parameters, as that of a reset of ``env`` alone.
     """
 
     randomize: Randomize = struct.static_field()
 
     def __post_init__(self) -> None:
         check_inside(self)
+        _check_callable(self.randomize)
 
     def reset(self, key: Key) -> State:
         key, draw_key = jax.random.split(key)
         env = self.randomize(draw_key, self.env)
-        state = env.reset(key)
         own = {self._prefix + name: value for name, value in _changed(self.env, env).items()}
+        state = env.reset(key)
         return state.replace(drawn={**(state.drawn or {}), **own})
 
     def step(self, state: State, action: Array) -> State:
+        check_began(self, state.drawn is not None)
         return self.with_draws(state.drawn or {}).step(state, action)
 
     def with_draws(self, drawn: dict[str, Array]) -> Any:
@@ -67,8 +71,14 @@ class Randomized(_Wrapper):
 def check_hook(env: Any, randomize: Randomize) -> None:
     """Raises ValueError for a hook that cannot draw parameters of this environment, or whose draw of a robot's geoms
     would not reach the soft body."""
+    _check_callable(randomize)
     jax.eval_shape(lambda key: changed_by(randomize, key, env), jax.random.key(0))
     check_colliders(env, randomize(jax.random.key(0), env))
+
+
+def _check_callable(randomize: Any) -> None:
+    if not callable(randomize):
+        raise ValueError(f"randomize is {shown(randomize)}: give a function (key, env) -> env, as hook({{...}}) makes")
 
 
 def changed_by(randomize: Randomize, key: Key, env: Any) -> dict[str, Array]:
@@ -78,6 +88,8 @@ def changed_by(randomize: Randomize, key: Key, env: Any) -> dict[str, Array]:
 
 def _changed(old: Any, new: Any) -> dict[str, Array]:
     """The arrays of ``new``, by name, that are other objects than those of ``old``."""
+    if type(new) is not type(old):
+        raise ValueError(f"randomize returned {shown(new)}: return the environment with other parameters")
     if jax.tree.structure(old) != jax.tree.structure(new):
         raise ValueError("randomize changed a static field or the kind of the environment: draw parameters only")
     before, after = jax.tree.leaves(old), jax.tree.leaves_with_path(new)

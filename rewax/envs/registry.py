@@ -1,7 +1,6 @@
 """Environments by name and scale."""
 
 import difflib
-import importlib
 import inspect
 import json
 import re
@@ -16,6 +15,8 @@ from jax.core import Tracer
 
 from rewax import jax_versions
 from rewax.envs.base import Env
+from rewax.envs.factories import check_name_and_factory, imported
+from rewax.physics.numerics.checks import shown
 
 Scale = str
 SCALES: tuple[Scale, ...] = ("paper", "small")
@@ -36,11 +37,14 @@ def register(name: str, factory: Factory | Mapping[Scale, Factory]) -> None:
         environment is first made. A mapping gives each scale a factory of its own, called as ``factory(**kwargs)``.
 
     Raises:
-      ValueError: the name is taken by another factory, or a string is not of that form.
+      ValueError: the name is no string or is taken by another factory; a factory is neither a function nor a string of
+        that form; or a mapping is empty, or has a key that is no string.
     """
+    if isinstance(factory, Mapping) and (not factory or not all(isinstance(scale, str) for scale in factory)):
+        scales = ", ".join(map(repr, factory)) or "none"
+        raise ValueError(f"the scales of {name!r} are {scales}: give each a name, {{'small': ..., 'paper': ...}}")
     for one in factory.values() if isinstance(factory, Mapping) else (factory,):
-        if isinstance(one, str) and one.count(":") != 1:
-            raise ValueError(f"the factory of {name!r} is {one!r}: give a function or 'package.module:function'")
+        check_name_and_factory("an environment", name, one)
     if _FACTORIES.get(name, factory) != factory:
         raise ValueError(f"an environment named {name!r} is registered already: choose another name")
     _FACTORIES[name] = factory
@@ -95,11 +99,13 @@ def make(
     given = own if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **own}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
-    if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
+    if missing := _missing_methods(env):
         raise ValueError(
             f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
             "environment, see rewax.envs.base.Env"
         )
+    if isinstance(env, type):
+        raise ValueError(f"the factory of {name!r} returned the class {env.__name__}: return an environment of it")
     if identified is not None:
         from rewax.envs.randomize.stored import part_for_environments, with_result
 
@@ -127,7 +133,7 @@ def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
     """The function that builds an environment; a scale of None stands for any.
 
     Raises:
-      ValueError: unknown name or scale, or the factory cannot be imported.
+      ValueError: unknown name or scale, or the factory cannot be imported or is no function.
     """
     check_name(name)
     factory = _FACTORIES[name]
@@ -137,7 +143,7 @@ def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
             f"scale is {scale!r}: {did_you_mean(scale, scales)}use one of {', '.join(map(repr, scales))}, or none to "
             "follow the device"
         )
-    return _imported(name, factory[scale or scales[0]] if isinstance(factory, Mapping) else factory)
+    return imported(name, factory[scale or scales[0]] if isinstance(factory, Mapping) else factory)
 
 
 def check_name(name: str) -> None:
@@ -158,16 +164,15 @@ def did_you_mean(name: Any, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}? " if close else ""
 
 
-def _imported(name: str, factory: Factory) -> Callable[..., Env]:
-    if not isinstance(factory, str):
-        return factory
-    module, function = factory.split(":")
-    found = getattr(importlib.import_module(module), function, None)
-    if found is None:
-        raise ValueError(
-            f"the factory of {name!r} is {factory!r}, but {module} has no {function}: correct register(...)"
-        )
-    return found
+def require_env(env: Any, name: str = "env") -> None:
+    """Raises ValueError unless a value has the methods of an environment; ``name`` is that of the argument."""
+    if isinstance(env, type) or _missing_methods(env):
+        known = env if isinstance(env, str) and env in _FACTORIES else "RollingFlat"
+        raise ValueError(f"{name} is {shown(env)}: give an environment, rewax.make({known!r}) for example")
+
+
+def _missing_methods(env: Any) -> list[str]:
+    return [method for method in ("reset", "step") if not callable(getattr(env, method, None))]
 
 
 def _sensor_options(factory: Callable[..., Env], given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -241,4 +246,7 @@ def _attach(env: Env, made_by: dict[str, Any]) -> None:
         return
 
 
-__all__ = ["SCALES", "Factory", "Scale", "default_scale", "did_you_mean", "list_envs", "make", "recipe", "register"]
+__all__ = [
+    "SCALES", "Factory", "Scale", "default_scale", "did_you_mean", "list_envs", "make", "recipe", "register",
+    "require_env",
+]  # fmt: skip

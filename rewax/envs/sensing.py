@@ -1,6 +1,8 @@
 """Environments with sensors: pictures, clouds and touch as further named observations."""
 
+import inspect
 import math
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import jax
@@ -9,9 +11,11 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.envs.base import SENSOR_LEAF, ArraySpec, State, with_first_observations, with_observations
+from rewax.envs.kit.checks import as_numbers
 from rewax.envs.randomized import innermost
-from rewax.envs.wrappers import _Wrapper, check_inside, count_inside, forwarded
+from rewax.envs.wrappers import _Wrapper, check_began, check_inside, count_inside, forwarded
 from rewax.physics.contact import Patches
+from rewax.physics.numerics.checks import as_array, shown
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation
@@ -58,7 +62,8 @@ class Sensing(struct.Replaceable, _Wrapper):
 
     Raises:
       ValueError: the environment has no ``world(physics, up)`` or observes one of the names already; a sensor is no
-        pytree or has no ``see``; ``up`` is no unit vector; or the wrapper is around ``AutoReset`` or a batch.
+        pytree or has no ``see(world, key)``; ``up`` is no unit vector; or the wrapper is around ``AutoReset`` or a
+        batch. ``reset``: a sensor returns no array. ``step``: the state is that of ``env`` alone.
     """
 
     sensors: dict[str, Any] = struct.field(default_factory=dict)
@@ -67,6 +72,8 @@ class Sensing(struct.Replaceable, _Wrapper):
     def __post_init__(self) -> None:
         check_inside(self)
         bare = getattr(self.env, "unwrapped", self.env)
+        if not isinstance(self.sensors, Mapping) or not all(isinstance(name, str) for name in self.sensors):
+            raise ValueError(f'sensors is {shown(self.sensors)}: give them by name, {{"depth": Camera.look_at(...)}}')
         placed = {
             name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()
         }
@@ -84,6 +91,7 @@ class Sensing(struct.Replaceable, _Wrapper):
                 raise ValueError(
                     f"sensors[{name!r}] is {sensor!r}: give a Camera, or another object with see(world, key)"
                 )
+            _check_arguments(name, sensor)
             if any(leaf is sensor for leaf in jax.tree.leaves(sensor)):
                 raise ValueError(
                     f"sensors[{name!r}] is of the class {type(sensor).__name__}, which is no pytree: decorate it with "
@@ -92,16 +100,17 @@ class Sensing(struct.Replaceable, _Wrapper):
         given = bare.up if self.up is None else self.up
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
             raise ValueError("up follows from traced numbers of the environment: give it, up=(0.0, 1.0, 0.0)")
-        up = np.asarray(given, float)
-        object.__setattr__(self, "up", tuple(up.ravel().tolist()))
-        if up.shape != (3,) or not abs(np.linalg.norm(up) - 1.0) < 1e-3:
-            raise ValueError(f"up is {self.up}: give a unit vector against gravity, (0.0, 1.0, 0.0)")
+        up = as_array(given)
+        if up.shape != (3,) or up.dtype.kind not in "fiu" or not abs(np.linalg.norm(up) - 1.0) < 1e-3:
+            raise ValueError(f"up is {shown(given)}: give a unit vector against gravity, (0.0, 1.0, 0.0)")
+        object.__setattr__(self, "up", tuple(up.astype(float).tolist()))
 
     def reset(self, key: Key) -> State:
         state = self._feeling.reset(key)
         return with_first_observations(state, self._see(state), leaf=SENSOR_LEAF)
 
     def step(self, state: State, action: Array) -> State:
+        check_began(self, all(name in state.obs for name in self.sensors))
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}
         after = self._feeling.step(state.replace(obs=own), action)
         return with_observations(after, self._see(after), state.obs, leaf=SENSOR_LEAF)
@@ -143,10 +152,24 @@ class Sensing(struct.Replaceable, _Wrapper):
         key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM + self._inside), state.step_count)
         keys = jax.random.split(key, max(len(self.sensors), 1))
         felt = getattr(state.physics, "felt", None) or {}
-        return {
+        seen = {
             name: self.sensors[name].see(world.replace(felt=felt[name]) if name in felt else world, keys[i])
             for i, name in enumerate(sorted(self.sensors))
         }
+        remedy = "return an array of real numbers"
+        return {name: as_numbers(f"sensors[{name!r}].see(world, key)", value, remedy) for name, value in seen.items()}
+
+
+def _check_arguments(name: str, sensor: Any) -> None:
+    """Raises ValueError if ``see`` of a sensor cannot be called with a world and a key."""
+    try:
+        inspect.signature(sensor.see).bind(None, None)
+    except TypeError:
+        raise ValueError(
+            f"sensors[{name!r}].see takes {inspect.signature(sensor.see)}: let it take (world, key)"
+        ) from None
+    except ValueError:  # a function that has no signature
+        return
 
 
 def _with_touch(env: Any, touch: dict[str, Patches]) -> Any:

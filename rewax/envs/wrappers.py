@@ -5,9 +5,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, Env, State
+from rewax.physics.numerics.checks import shown
 from rewax.short_repr import short_repr
 from rewax.types import Array, Key, PyTree
 
@@ -74,10 +76,12 @@ def observed_names(env: Any, of: Iterable[str] | str | None) -> tuple[str, ...] 
     """``of``, the observations that a wrapper is given, as a tuple of names; None stands for all.
 
     Raises:
-      ValueError: one of them is not observed.
+      ValueError: these are no names, or one of them is not observed.
     """
     if of is None:
         return None
+    if not isinstance(of, Iterable):
+        raise ValueError(f"of is {shown(of)}: give names of observations, or None for all")
     names, known = (of,) if isinstance(of, str) else tuple(of), env.observation_spec
     for name in names:
         if name not in known:
@@ -106,6 +110,13 @@ def check_inside(wrapper: Any) -> None:
         raise ValueError(f"{name} is around AutoReset: put AutoReset outside, AutoReset(env={name}(env=...))")
     if count_inside(wrapper, Vmap):
         raise ValueError(f"{name} is around a batch of environments: wrap each environment, then stack or Vmap")
+
+
+def check_began(wrapper: Any, holds: bool) -> None:
+    """Raises ValueError unless a state holds what the ``reset`` of a wrapper adds to it."""
+    if not holds:
+        name = type(wrapper).__name__
+        raise ValueError(f"the state is not of this {name}: begin with reset of the {name}, not of what is inside")
 
 
 def is_number(leaf: Any) -> bool:
@@ -238,11 +249,22 @@ class Vmap(_Wrapper):
         return self._first.episode_length
 
     def reset(self, key: Key) -> State:
-        """key: shape (num_envs,)."""
+        """key: shape (num_envs,). Raises ValueError for a single key."""
+        from rewax.envs.kit.checks import check_keys  # here, because importing rewax.envs imports no part of a task
+
+        check_keys(key)
         return jax.vmap(lambda env, key: env.reset(key), in_axes=(self._axes, 0))(self.env, key)
 
     def step(self, state: State, action: Array) -> State:
-        """action: shape (num_envs, *action_shape)."""
+        """action: shape (num_envs, *action_shape). Raises ValueError for another number of actions than of states."""
+        num = np.shape(state.step_count)[:1]
+        check_began(self, num != ())
+        for leaf in jax.tree.leaves(action):
+            if np.shape(leaf)[:1] != num:
+                raise ValueError(
+                    f"the action has shape {np.shape(leaf)} for {num[0]} environments: give one action for each, shape "
+                    f"{(*num, *self.action_spec.shape)}"
+                )
         return jax.vmap(lambda env, *args: env.step(*args), in_axes=(self._axes, 0, 0))(self.env, state, action)
 
     @property

@@ -12,6 +12,8 @@ from rewax.envs.kit.soft_task import SoftTask
 from rewax.envs.sensing import Sensing
 from rewax.identify.records import UNITS, VERSION, Record
 from rewax.physics.contact.colliders import MIN_INFLUENCE, shape_pose
+from rewax.physics.numerics.arguments import check_instance
+from rewax.physics.numerics.checks import POSITIVE, static_number
 from rewax.physics.numerics.pose import body_pose
 from rewax.physics.shapes import signed_distance
 
@@ -24,6 +26,7 @@ _SAME_PATH = 1e-3
 
 def check_record(record: Record) -> None:
     """Raises ValueError for the first fault, with its remedy."""
+    check_instance("record", record, Record, "give a Record, load(path) for example")
     if record.version != VERSION:
         raise ValueError(f"version of the record is {record.version}: this rewax reads {VERSION}")
     if record.units != UNITS:
@@ -34,19 +37,19 @@ def check_record(record: Record) -> None:
 
 
 def _check_shapes(record: Record) -> None:
-    arrays = {
+    arrays: dict[str, tuple[Any, int]] = {
         "times": (record.times, 1),
         "clouds": (record.clouds, 3),
         "mask": (record.mask, 2),
         "actions": (record.actions, 2),
     }
-    if record.joint_q is not None:
-        arrays["joint_q"] = (record.joint_q, 2)
+    optional = {"joint_q": (record.joint_q, 2), "camera": (record.camera, 1)}
+    arrays |= {name: value for name, value in optional.items() if value[0] is not None}
     for name, (value, rank) in arrays.items():
         if np.ndim(value) != rank:
             raise ValueError(f"{name} of the record has shape {np.shape(value)}: give {rank} axes")
-        if name != "mask" and not np.issubdtype(np.asarray(value).dtype, np.number):
-            raise ValueError(f"{name} of the record is of type {np.asarray(value).dtype}: give numbers")
+        if name != "mask" and (np.iscomplexobj(value) or not np.issubdtype(np.asarray(value).dtype, np.number)):
+            raise ValueError(f"{name} of the record is of type {np.asarray(value).dtype}: give real numbers")
     frames = len(record.times)
     if frames < 2:
         raise ValueError(f"the record has {frames} frames: give at least 2, the first of the body at rest")
@@ -66,13 +69,13 @@ def _check_shapes(record: Record) -> None:
 
 
 def _check_times(record: Record) -> None:
-    times, dt = np.asarray(record.times, float), record.control_dt
+    remedy = "give the seconds between two actions"
+    dt = static_number("control_dt of the record", record.control_dt, POSITIVE, remedy)
+    times = np.asarray(record.times, float)
     for name in ("times", "actions", "joint_q", "camera"):
         value = getattr(record, name)
         if value is not None and not np.all(np.isfinite(value)):
             raise ValueError(f"{name} of the record holds a number that is not finite: leave that frame or step out")
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise ValueError(f"control_dt of the record is {dt}: give the seconds between two actions, above 0")
     if times[0] < 0.0:
         raise ValueError(f"the first frame is at {times[0]:g} s: count time from the first action")
     if not np.all(np.diff(times) > 0.0):

@@ -12,6 +12,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Legal, check_numbers, numbers_of, static_number
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import real
 from rewax.physics.numerics.pose import Pose, placed_at, turned
 from rewax.sensors.hits import Hits, Rays, nearest
 from rewax.sensors.noise import DepthNoise
@@ -21,6 +22,7 @@ from rewax.sensors.world import NOTHING, World, frozen
 from rewax.sensors.z_buffer import see_balls
 from rewax.types import Array, Key, Scalar, Vector
 
+_POINT = real(FINITE, "give three numbers", shape=(3,))
 ZOOM = (0.5, 1.5)
 """A camera's zoom lies between these."""
 _STATIC_NUMBERS = (
@@ -114,12 +116,15 @@ class Camera(struct.Replaceable):
           up: direction that is upwards in the picture; not that of the view.
 
         Raises:
-          ValueError: eye and target are one point, up is the direction of the view, or one of them is traced.
+          ValueError: one of them is no vector of finite numbers or is traced, eye and target are one point, or up is
+            the direction of the view.
         """
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((target, eye, up))):
             raise ValueError(
                 "target, eye or up is traced: make the camera outside jit, and replace its position and rotation inside"
             )
+        for name, value in (("target", target), ("eye", eye), ("up", up)):
+            _POINT(name, value)
         eye, target = np.asarray(eye, float), np.asarray(target, float)
         back = eye - target
         right = np.cross(np.asarray(up, float), back)

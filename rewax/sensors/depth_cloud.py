@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.physics.numerics.arguments import check_instance
 from rewax.sensors.camera import Camera
 from rewax.sensors.world import World
 from rewax.types import Array, Key
@@ -28,6 +29,7 @@ class DepthCloud(struct.Replaceable):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        check_instance("camera", self.camera, Camera, "give Camera.look_at(...)")
         if isinstance(self.num_points, np.integer):
             object.__setattr__(self, "num_points", int(self.num_points))
         if isinstance(self.num_points, bool) or not isinstance(self.num_points, int) or self.num_points < 1:

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.physics.numerics.arguments import check_instance
 from rewax.sensors.camera import Camera
 from rewax.sensors.world import World
 from rewax.types import Array, Key
@@ -23,6 +24,7 @@ class Labels(struct.Replaceable):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        check_instance("camera", self.camera, Camera, "give Camera.look_at(...)")
         if self.of is not None:
             object.__setattr__(self, "of", (self.of,) if isinstance(self.of, str) else tuple(self.of))
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import jax
 
 from rewax.envs.base import Env
+from rewax.envs.registry import require_env
 from rewax.testing import functions, states
 from rewax.testing.gradient import ActionGradient
 from rewax.testing.progress import Progress
@@ -60,13 +61,14 @@ def check_env(
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.
-      ValueError: gradient_steps is below 1.
+      ValueError: gradient_steps is below 1, or env is no environment.
 
     Example:
       >>> check_env(rewax.make("RollingFlat", scale="small"))
     """
     if gradient_steps < 1:
         raise ValueError(f"gradient_steps is {gradient_steps}: use 1 or more")
+    require_env(env)
     say, key = Progress(f"check_env {type(env).__name__}", notify), jax.random.key(seed)
     say("specs and parameters")
     states.check_specs(env)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rewax.physics import mpm
 from rewax.physics.mpm import Fluid, Grid, Material
-from rewax.physics.mpm.material_checks import check_material
+from rewax.physics.mpm.material_checks import check_laws, check_material
 from rewax.physics.mpm.materials import elastic_energy_density, kirchhoff_stress
 from rewax.physics.shapes import fill_box
 from rewax.testing.law_derivatives import check_derivatives, check_finite
@@ -47,12 +47,14 @@ def check_law(
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.
-      ValueError: a number that its law does not allow.
+      ValueError: a number that its law does not allow, or a method that returns something of the wrong form.
+      NotImplementedError: a law lacks a method.
 
     Example:
       >>> check_law(Material(density=1e3, elasticity=Hencky(youngs_modulus=1e5, poissons_ratio=0.3)))
     """
     check_material(material)
+    check_laws(material)
     say = Progress(" + ".join(type(law).__name__ for law in material.laws.values()), notify)
     with jax.enable_x64(True):
         double = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), material)

@@ -36,12 +36,15 @@ class Sample:
         self.rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
         with jax.enable_x64(True):
             self.exact = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), float), shape)
-        box = bounding_box(shape) if shape.is_bounded else region or (np.full(3, -1.0), np.ones(3))
+        try:
+            box = bounding_box(shape) if shape.is_bounded else region or (np.full(3, -1.0), np.ones(3))
+        except ValueError as error:
+            raise AssertionError(str(error)) from error
         self.region = tuple(np.asarray(corner, np.float64) for corner in region or box)
         self.lower, self.upper = (np.asarray(corner, np.float64) for corner in box)
         assert np.all(self.upper > self.lower), (
-            f"the bounding box of {self.name} reaches from {at(self.lower)} to {at(self.upper)}: its upper corner must "
-            "be above the lower one along each axis"
+            f"region reaches from {at(self.lower)} to {at(self.upper)}: its upper corner must be above the lower one "
+            "along each axis"
         )
         self.size = float(np.max(self.upper - self.lower))
         self.random, self.special = self._random(), self._special()

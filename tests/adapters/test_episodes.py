@@ -77,6 +77,8 @@ def test_what_cannot_be_is_refused():
     for num_envs in (0, True, 2.5, "3"):
         with pytest.raises(ValueError, match=r"num_envs is .*: give an integer of at least 1"):
             Episodes(toys.point_mass(), num_envs)
+    with pytest.raises(ValueError, match=r"^env is None: give an environment"):
+        Episodes(None, 2)
     envs = Episodes(toys.point_mass(), 2)
     with pytest.raises(ValueError, match="no episode has begun: call reset before step"):
         envs.step(np.zeros((2, 1)))

@@ -71,6 +71,25 @@ def test_an_episode_is_that_of_the_environment():
     assert again["x"] == pytest.approx(x - 0.75) and other["x"] != again["x"]
 
 
+@pytest.mark.parametrize(
+    ("size", "sentence"),
+    [
+        ((0, -1), r"size\[0\] is 0, but must be an integer of at least 1: give height and width in pixels"),
+        ((9, 1.5), r"size\[1\] is 1.5, but must be an integer of at least 1: give height and width in pixels"),
+        (64, "size is 64: give height and width in pixels"),
+    ],
+)
+def test_a_picture_has_pixels(size, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}"):
+        GymnasiumEnv(point_mass(), render_mode="rgb_array", size=size)
+
+
+def test_a_name_is_no_environment():
+    for make in (GymnasiumEnv, lambda env: GymnasiumVectorEnv(env, 2)):
+        with pytest.raises(ValueError, match=r"^env is 'RollingFlat': give an environment, rewax.make"):
+            make("RollingFlat")
+
+
 def test_a_task_ends_itself():
     env = GymnasiumEnv(EndsBeyondTwo(gain=jnp.float32(3.0)))
     env.reset(seed=0)

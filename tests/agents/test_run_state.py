@@ -116,6 +116,12 @@ def test_a_batch_of_another_size_is_refused_before_anything_compiles():
         make_sapo(stack(ENVS[:2]), CONFIG)
 
 
+@pytest.mark.parametrize("env", [None, "RollingFlat", toys.PointMass])
+def test_what_is_no_environment_is_refused(env):
+    with pytest.raises(ValueError, match=r"^env is .*: give an environment, rewax.make\('RollingFlat'\) for example$"):
+        make_sapo(env, CONFIG)
+
+
 def test_an_environment_that_resets_by_itself_is_refused():
     """Its observation after an episode's end is that of the next one, and values would bootstrap from it."""
     env = AutoReset(env=ENVS[0])

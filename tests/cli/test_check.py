@@ -28,6 +28,14 @@ class Broken(toys.PointMass):
         return self.after(state, state.physics + jnp.zeros(3) @ action)
 
 
+@struct.dataclass
+class Silent(toys.PointMass):
+    """It observes nothing, which fails in the code that checks it."""
+
+    def reset(self, key):
+        return super().reset(key).replace(obs=None)
+
+
 @pytest.fixture
 def registered():
     registry._FACTORIES["Broken"] = lambda scale: Broken(gain=jnp.float32(0.5))
@@ -52,6 +60,14 @@ def test_an_exception_of_the_environment_is_a_sentence_with_its_line(registered,
     said = capsys.readouterr().err
     assert said.startswith("problem: the check of Broken failed at ") and said.count("\n") == 1
     assert "test_check.py:" in said and "jnp.zeros(3) @ action" in said and "TypeError" in said
+
+
+def test_an_exception_of_what_a_method_returns_is_a_sentence(monkeypatch, capsys):
+    monkeypatch.setitem(registry._FACTORIES, "Silent", lambda scale: Silent(gain=jnp.float32(0.5)))
+    assert main(["check", "--env", "Silent"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("problem: the check of Silent failed: TypeError: ") and said.count("\n") == 1
+    assert said.endswith(": look at what its methods return\n")
 
 
 def make_absent(env, config):

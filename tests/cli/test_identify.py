@@ -60,6 +60,7 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
         ),
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
         (["record", "--env=RollingFlat", "--script", "file"], "'file' holds no rows: give one action in a row"),
+        (["record", *PUSH, "--every", "100"], "--every is 100 with 4 steps: give at most 4, for a second frame"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "file/a.json"], "file cannot be written or read"),

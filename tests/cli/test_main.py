@@ -146,3 +146,40 @@ def test_a_file_that_cannot_be_written_is_named(monkeypatch, capsys, code):
     monkeypatch.setattr("rewax.cli.main._run", write)
     assert main(["eval"]) == 2
     assert capsys.readouterr().err == f"error: a.json cannot be written or read ({os.strerror(code)}): choose another\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError("Unable to allocate 7 TiB\nfor an array"), "(Unable to allocate 7 TiB)"),
+        (MemoryError(), "(out of memory)"),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."), "(RESOURCE_EXHAUSTED: Out of memory "),
+    ],
+)
+def test_too_little_memory_is_one_sentence(monkeypatch, capsys, error, said):
+    def exhausts(argv):
+        raise error
+
+    monkeypatch.setattr("rewax.cli.main._run", exhausts)
+    assert main(["eval"]) == 1
+    message = capsys.readouterr().err
+    assert message.startswith(f"error: the memory is too small {said}") and message.count("\n") == 1
+    assert "take fewer environments" in message
+    monkeypatch.setattr("rewax.cli.main._run", lambda argv: [].pop())
+    with pytest.raises(IndexError):
+        main(["eval"])
+
+
+def test_a_factory_that_cannot_be_imported_spoils_no_table(tmp_path, monkeypatch, capsys):
+    (tmp_path / "typo_of_mine.py").write_text("def f(:\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    broken = {"Absent": "nopkg.mod:f", "Typo": "typo_of_mine:f", "Fine": "toys:point_mass"}
+    monkeypatch.setattr(registry, "_FACTORIES", broken)
+    assert main(["envs", "--table"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "'nopkg.mod:f', which cannot be imported (No module named 'nopkg'): correct" in text
+    assert "the import of its factory failed at" in text and "SyntaxError" in text and "A point mass with gain" in text
+    for command in ("check", "train"):
+        assert main([command, "--env=Absent"]) == 2
+        assert "which cannot be imported" in capsys.readouterr().err

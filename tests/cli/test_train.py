@@ -107,6 +107,7 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
     [
         (["--env", "PointMas"], "there is no environment named 'PointMas': did you mean 'PointMass'?"),
         (["--scale=medium"], "scale is 'medium': use one of 'paper', 'small'"),
+        (["--num-seeds=100000"], "num_seeds is 100000: give an integer from 1 to 1024, and start several commands"),
         (["--toy.noise=-1"], "noise is -1.0: use 0 or more"),
         (["--train.log-every=0"], "log_every is 0: give an integer of at least 1"),
         (["--steps=0"], "steps is 0: give an integer of at least 1"),

@@ -88,5 +88,11 @@ def test_what_cannot_be_is_a_sentence(options, sentence):
         History(env=toys.point_mass(), **options)
 
 
+def test_a_state_of_the_environment_inside_is_refused():
+    env = History(env=toys.point_mass(), steps=3)
+    with pytest.raises(ValueError, match=r"^the state is not of this History: begin with reset of the History"):
+        env.step(env.env.reset(jax.random.key(0)), jnp.zeros(1))
+
+
 def test_an_integer_of_numpy_is_a_number_of_steps():
     assert History(env=toys.point_mass(), steps=np.int64(2)).steps == 2

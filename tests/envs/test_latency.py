@@ -121,7 +121,23 @@ def test_delays_that_cannot_be_are_refused(steps):
             Latency(env=toys.point_mass(), **{name: steps})
 
 
+@pytest.mark.parametrize("delay", [{"action": 5}, {"observation": 10**9}, {"action": (0, 5)}], ids=str)
+def test_a_delay_as_long_as_an_episode_is_refused(delay):
+    with pytest.raises(ValueError, match=r"of the latency is .*, but an episode has 5 control steps: give fewer"):
+        Latency(env=toys.point_mass(5), **delay)
+
+
+def test_a_state_of_the_environment_inside_is_refused():
+    one = Latency(env=toys.point_mass(), action=1)
+    twice = Latency(env=one, action=1)
+    for env in (one, twice):
+        with pytest.raises(ValueError, match=r"^the state is not of this Latency: begin with reset of the Latency"):
+            env.step(env.env.reset(jax.random.key(0)), jnp.zeros(1))
+
+
 def test_an_unknown_observation_is_refused():
+    with pytest.raises(ValueError, match=r"^of is 3: give names of observations, or None for all"):
+        Latency(env=toys.point_mass(), of=3)
     for of in (("y",), "y"):
         with pytest.raises(ValueError, match="of has 'y', which is not observed: use some of x"):
             Latency(env=toys.point_mass(), of=of)

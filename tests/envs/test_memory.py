@@ -91,3 +91,42 @@ def test_an_action_without_memory_and_a_taken_name_are_sentences():
         env.step(env.reset(jax.random.key(0)), jnp.zeros(1))
     with pytest.raises(ValueError, match="has an observation named 'memory', the name of a policy's memory: rename it"):
         remembering(Remembering(env=toys.point_mass(), size=2), SIZE)
+
+
+@pytest.mark.parametrize(
+    ("memory", "sentence"),
+    [
+        (jnp.ones(1), r"has shape \(1,\): give numbers of shape \(3,\)"),
+        (jnp.ones((3, 3)), r"has shape \(3, 3\): give"),
+        (1.0, r"has shape \(\): give"),
+        (None, "is None, which is no array of real numbers: give numbers of shape"),
+    ],
+    ids=str,
+)
+def test_a_memory_of_another_shape_is_refused(memory, sentence):
+    env = remembers()
+    with pytest.raises(ValueError, match=f"^the memory that the policy returned {sentence}"):
+        env.step(env.reset(jax.random.key(0)), Remembered(jnp.zeros(1), memory))
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"size": -1}, "size is -1, but must be an integer of at least 1: give the number of components"),
+        ({"size": 1.5}, "size is 1.5, but must be"),
+        ({"size": 3, "start": jnp.zeros(2)}, r"start has shape \(2,\): give numbers of shape \(3,\)"),
+    ],
+    ids=str,
+)
+def test_a_memory_that_cannot_be_is_refused(options, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}"):
+        Remembering(env=toys.point_mass(), **options)
+
+
+def test_a_list_is_a_memory_and_a_state_without_memory_is_none():
+    env = remembers()
+    first = env.reset(jax.random.key(0))
+    after = env.step(first, Remembered(jnp.zeros(1), [1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(after.obs[MEMORY], [1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match=r"^the state is not of this Remembering: begin with reset of the Remembering"):
+        env.step(env.env.reset(jax.random.key(0)), Remembered(jnp.zeros(1), jnp.zeros(SIZE)))

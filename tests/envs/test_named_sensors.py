@@ -74,7 +74,7 @@ def test_sensors_of_ones_own_get_names(monkeypatch):
     with pytest.raises(ValueError, match="the factory of 'x' is 'nowhere': give a function or"):
         register_sensor("x", "nowhere")
     register_sensor("x", "rewax.envs.named_sensors:no_such")
-    with pytest.raises(ValueError, match=r"has no no_such: correct it"):
+    with pytest.raises(ValueError, match=r"has no no_such: correct its"):
         with_sensors(rewax.make("CartpoleSwingUp", scale="small"), ["x"])
 
 

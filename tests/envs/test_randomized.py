@@ -8,7 +8,7 @@ import toys
 
 from rewax import struct
 from rewax.envs.randomize import Constant, Scale, hook
-from rewax.envs.randomized import Randomized, changed_by
+from rewax.envs.randomized import Randomized, changed_by, check_hook
 from rewax.envs.wrappers import AutoReset, _Wrapper
 
 
@@ -71,12 +71,28 @@ def test_values_and_gradients_are_those_of_the_environment_with_these_leaves():
     ("hook", "sentence"),
     [
         (lambda key, env: env.replace(length=6), "randomize changed a static field"),
+        (lambda key, env: None, "randomize returned None: return the environment with other parameters"),
+        (None, r"randomize is None: give a function \(key, env\) -> env"),
+        ({"gain": 1.0}, r"randomize is \{'gain': 1.0\}: give a function \(key, env\) -> env"),
         (lambda key, env: env.replace(gain=jnp.ones(3)), r"randomize gave .gain shape \(3,\) instead of \(\)"),
     ],
 )
 def test_a_hook_may_draw_leaves_only(hook, sentence):
     with pytest.raises(ValueError, match=sentence):
         Randomized(env=toys.point_mass(), randomize=hook).reset(jax.random.key(0))
+
+
+def test_a_hook_is_checked_before_it_is_wrapped():
+    with pytest.raises(ValueError, match=r"^randomize is \{'gain': 1.0\}: give a function"):
+        check_hook(toys.point_mass(), {"gain": 1.0})
+
+
+def test_a_state_without_draws_is_refused():
+    env = ENV.env
+    with pytest.raises(ValueError, match=r"^the state is not of this Randomized: begin with reset of the Randomized"):
+        env.step(env.env.reset(jax.random.key(0)), jnp.zeros(1))
+    nothing = Randomized(env=toys.point_mass(), randomize=lambda key, env: env)
+    assert nothing.step(nothing.reset(jax.random.key(0)), jnp.zeros(1)).drawn == {}
 
 
 def test_draws_inside_draws_all_act_until_the_next_reset():

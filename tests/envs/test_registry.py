@@ -98,6 +98,36 @@ def test_a_string_must_name_module_and_function(known):
     assert "New" not in registry.list_envs()
 
 
+@pytest.mark.parametrize(("scales", "shown"), [({}, "none"), ({3: toy}, "3")])
+def test_factories_by_scale_have_scales(known, scales, shown):
+    with pytest.raises(ValueError, match=f"^the scales of 'New' are {shown}: give each a name, {{'small': "):
+        registry.register("New", scales)
+    with pytest.raises(ValueError, match=r"^the factory of 'New' is None: give a function"):
+        registry.register("New", {"small": None})
+
+
+def test_a_factory_returns_no_class(known):
+    registry.register("Class", lambda scale: toys.PointMass)
+    with pytest.raises(ValueError, match=r"^the factory of 'Class' returned the class PointMass: return an env"):
+        rewax.make("Class")
+
+
+@pytest.mark.parametrize(
+    ("env", "sentence"),
+    [
+        ("Toy", "env is 'Toy': give an environment, rewax.make('Toy') for example"),
+        ("Toi", "env is 'Toi': give an environment, rewax.make('RollingFlat') for example"),
+        (None, "env is None: give an environment, "),
+        (toys.PointMass, "env is <class 'toys.PointMass'>: give an environment, "),
+    ],
+)
+def test_what_is_no_environment_is_said(known, env, sentence):
+    registry.require_env(toys.point_mass())
+    with pytest.raises(ValueError) as caught:
+        registry.require_env(env)
+    assert str(caught.value).startswith(sentence)
+
+
 def test_an_environment_knows_its_recipe_until_it_is_changed():
     env = rewax.make("RollingFlat", scale="small", youngs_modulus=400.0)
     assert env.made_by == {"env": "RollingFlat", "scale": "small", "kwargs": {"youngs_modulus": 400.0}}

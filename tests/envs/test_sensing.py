@@ -129,6 +129,56 @@ def test_bad_sensors_are_refused(bare):
         Sensing(env=bare, sensors={"x": Plain()})
 
 
+@pytest.mark.parametrize("sensors", [("a",), None, {3: CAMERA}], ids=str)
+def test_sensors_without_names_are_refused(bare, sensors):
+    with pytest.raises(ValueError, match=r"^sensors is .*: give them by name, "):
+        Sensing(env=bare, sensors=sensors)
+
+
+@pytest.mark.parametrize("up", ["y", (0.0, 1.0), (True, False, False), (0.0, 0.0, float("nan"))], ids=str)
+def test_a_direction_upwards_is_a_unit_vector(bare, up):
+    with pytest.raises(ValueError, match=r"^up is .*: give a unit vector against gravity"):
+        Sensing(env=bare, up=up)
+
+
+@struct.dataclass
+class Returning(struct.Replaceable):
+    """A sensor that observes a constant."""
+
+    value: object = struct.static_field()
+
+    def see(self, world, key):
+        return self.value
+
+
+@struct.dataclass
+class Keyless(struct.Replaceable):
+    """A sensor that asks for no key."""
+
+    def see(self, world):
+        return world
+
+
+@pytest.mark.parametrize("value", ["a", None, 1j, (None,)], ids=str)
+def test_a_sensor_returns_numbers(value):
+    env = Sensing(env=seeing_toys.visible(), sensors={"a": Returning(value=value)})
+    with pytest.raises(ValueError, match=r"^sensors\['a'\]\.see\(world, key\) is .*: return an array of real numbers"):
+        env.reset(jax.random.key(0))
+
+
+def test_a_sensor_takes_a_world_and_a_key_and_may_return_a_python_number():
+    with pytest.raises(ValueError, match=r"^sensors\['a'\].see takes \(world\): let it take \(world, key\)"):
+        Sensing(env=seeing_toys.visible(), sensors={"a": Keyless()})
+    state = Sensing(env=seeing_toys.visible(), sensors={"a": Returning(value=2.0)}).reset(jax.random.key(0))
+    assert state.obs["a"] == 2.0
+
+
+def test_a_state_without_what_sensors_see_is_refused():
+    env = seeing_toys.sensing()
+    with pytest.raises(ValueError, match=r"^the state is not of this Sensing: begin with reset of the Sensing"):
+        env.step(env.env.reset(jax.random.key(0)), jnp.zeros(1))
+
+
 class Plain:
     def see(self, world, key):
         raise AttributeError("the sensor's own mistake")

@@ -235,6 +235,18 @@ def test_batch_equals_loop():
         assert bool(jnp.all(jax.random.key_data(state.key[i]) == jax.random.key_data(one.key)))
 
 
+def test_a_batch_needs_as_many_keys_and_actions_as_environments():
+    env = Vmap(env=toys.point_mass(LENGTH))
+    with pytest.raises(ValueError, match=r"^the key is a single one: give one for each environment, jax.random.split"):
+        env.reset(jax.random.key(0))
+    state = env.reset(jax.random.split(jax.random.key(0), 3))
+    for shape in ((2, 1), (1,), ()):
+        with pytest.raises(ValueError, match=r"^the action has shape .* for 3 environments: give .*, shape \(3, 1\)$"):
+            env.step(state, jnp.zeros(shape))
+    with pytest.raises(ValueError, match=r"^the state is not of this Vmap: begin with reset of the Vmap"):
+        env.step(env.env.reset(jax.random.key(0)), jnp.zeros((3, 1)))
+
+
 def test_wrappers_forward_what_they_do_not_change():
     inner = toys.point_mass(LENGTH)
     env = Vmap(env=AutoReset(env=inner))

@@ -45,9 +45,13 @@ BAD = {
     "a mask of numbers": (lambda r: {"mask": r.mask.astype(float)}, "give booleans"),
     "actions without an axis": (lambda r: {"actions": r.actions[:, 0]}, "actions of the record has shape .4,.: give 2 axes"),
     "joints of another length": (lambda r: {"joint_q": r.joint_q[:2]}, "give one before the first action"),
-    "a control step of zero": (lambda r: {"control_dt": 0.0}, "above 0"),
+    "a control step of zero": (lambda r: {"control_dt": 0.0}, "must be positive"),
     "a camera of another shape": (lambda r: {"camera": np.zeros(12)}, "give 15 numbers"),
-    "times of text": (lambda r: {"times": np.array(list("abcde"))}, "give numbers"),
+    "times of text": (lambda r: {"times": np.array(list("abcde"))}, "give real numbers"),
+    "complex times": (lambda r: {"times": r.times + 0j}, "times of the record is of type complex128: give real numbers"),
+    "a camera of text": (lambda r: {"camera": np.array(list("abcdefghijklmno"))}, "camera of .* give real numbers"),
+    "a control step of text": (lambda r: {"control_dt": "a"}, "control_dt of the record is 'a', which is no real number"),
+    "no control step": (lambda r: {"control_dt": None}, "control_dt of the record is None, but must be positive: give the"),
 }  # fmt: skip
 
 
@@ -59,6 +63,11 @@ def test_a_bad_record_is_refused_in_one_sentence(fault):
     with pytest.raises(ValueError, match=sentence) as refusal:
         check_record(dataclasses.replace(record, **change(record)))
     assert "\n" not in str(refusal.value)
+
+
+def test_what_is_no_record_is_refused():
+    with pytest.raises(ValueError, match=r"^record is None: give a Record, load\(path\) for example$"):
+        check_record(None)
 
 
 AGAINST = {

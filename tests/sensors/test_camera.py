@@ -226,6 +226,12 @@ def test_a_view_that_is_not_fixed_is_refused(eye, up):
         Camera.look_at((0, 0, 0), eye=eye, up=up)
 
 
+@pytest.mark.parametrize("wrong", [{"target": "a"}, {"eye": None}, {"eye": (0.0, 1.0)}, {"up": "y"}], ids=str)
+def test_a_view_of_no_vectors_is_refused(wrong):
+    with pytest.raises(ValueError, match=rf"^{next(iter(wrong))} (is|has) .*: give "):
+        Camera.look_at(**{"target": (0, 0, 0), "eye": (0.0, 0.0, 1.0), **wrong})
+
+
 def test_a_traced_view_is_refused_and_a_traced_angle_too():
     with pytest.raises(ValueError, match="make the camera outside jit, and replace its position and rotation inside"):
         jax.jit(lambda eye: Camera.look_at((0, 0, 0), eye=eye).position)(jnp.ones(3))

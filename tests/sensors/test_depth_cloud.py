@@ -8,7 +8,7 @@ from camera_scenes import CAMERA, FAR, STRAIGHT
 
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Sphere
-from rewax.sensors import DepthCloud, DepthNoise, Solid, World
+from rewax.sensors import DepthCloud, DepthNoise, Labels, Solid, World
 
 
 def ball(name: str, at: tuple[float, float, float], radius: float = 0.1) -> Solid:
@@ -59,6 +59,12 @@ def test_noise_and_dropout_of_the_camera_reach_the_cloud():
 def test_bad_clouds_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         DepthCloud(camera=CAMERA, **wrong).see(WORLD, jax.random.key(0))
+
+
+@pytest.mark.parametrize("sensor", [DepthCloud, Labels])
+def test_a_sensor_without_a_camera_is_refused(sensor):
+    with pytest.raises(ValueError, match=r"^camera is None: give Camera.look_at\(...\)"):
+        sensor(camera=None)
 
 
 @pytest.mark.parametrize("gradient", [False, True])

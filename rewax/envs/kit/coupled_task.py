@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.checks import checked_start
+from rewax.envs.kit.checks import checked_control, checked_start
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rigid_task import ActuatedTask
 from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
@@ -80,14 +80,14 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     touch: dict[str, Patches] | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        check_list_every(self.list_every, self.num_substeps)
         if isinstance(self.scene, ThinScene | MixedScene):
             raise ValueError(
                 f"scene is a {type(self.scene).__name__}, but the soft body of a CoupledTask has particles or "
                 "tetrahedra: for cloth and ropes give a ThinTask with prescribed tools, or call articulated.step in an "
                 "environment of your own"
             )
+        super().__post_init__()
+        check_list_every(self.list_every, self.num_substeps)
         articulated.soft_substeps(self.scene, self.model)
 
     # --- Methods that a task defines, beside observe and reward ---
@@ -107,14 +107,14 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     def begin(self, key: Key) -> tuple[CoupledPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        parts = ("the robot", "the soft body", "the state of the task")
+        parts = {"the robot": RigidState, "the soft body": self.soft_kind}
         bodies, soft, task = checked_start(self, self.start(positions, start_key), parts)
         action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x)
         felt = untouched(self.touch, soft.x)
         return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task, felt=felt), key
 
     def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:
-        control, every = self.control(action), self.list_every or self.num_substeps
+        control, every = checked_control(self, self.control(action)), self.list_every or self.num_substeps
 
         def move(carry: tuple[Soft, RigidState], _: None) -> tuple[tuple[Soft, RigidState], tuple[Any, Array]]:
             before, bodies = carry

@@ -1,6 +1,6 @@
 """Base of tasks on particles and cloth in contact with each other, whose held vertices and grasps follow the joints."""
 
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +35,7 @@ class MixedTask(ThinTask):
 
     scene: MixedScene  # pyright: ignore[reportIncompatibleVariableOverride]
     vertex_stride: int = struct.static_field(default=1)
+    kinds: ClassVar[dict[type, type]] = {MixedScene: MixedState}
 
     def observe(self, physics: SoftPhysics) -> Observation:
         """Observed particles and vertices, and the joints with their motion."""

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax.core import Tracer
 
-from rewax.envs.kit.checks import described
-from rewax.physics.numerics.checks import POSITIVE, Legal, check_number, static_number
+from rewax.physics.numerics.checks import POSITIVE, Legal, check_number, described, static_number
 
 _OTHER_VALUES = "rewax.replace_leaf(env, name, value) takes arrays"
 _TOLERANCE, _MOST_SUBSTEPS = 1e-6, 1_000_000

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.checks import checked_start
+from rewax.envs.kit.checks import checked_control, checked_start
 from rewax.envs.kit.task import Task, against
 from rewax.envs.kit.touching import untouched
 from rewax.physics import rigid
@@ -92,13 +92,14 @@ class RigidTask(ActuatedTask):
 
     def begin(self, key: Key) -> tuple[RigidPhysics, Key]:
         key, start_key = jax.random.split(key)
-        bodies, task = checked_start(self, self.start(start_key), ("the bodies", "the state of the task"))
+        bodies, task = checked_start(self, self.start(start_key), {"the bodies": RigidState})
         action = jnp.zeros(self.action_spec.shape, bodies.qpos.dtype)
         felt = untouched(self.touch, bodies.qpos)
         return RigidPhysics(rigid=bodies, action=action, task=task, felt=felt), key
 
     def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
-        options, felt = {"ctrl": self.control(action), "num_substeps": self.num_substeps}, None
+        control, felt = checked_control(self, self.control(action)), None
+        options = {"ctrl": control, "num_substeps": self.num_substeps}
         if self.touch is None:
             bodies = rigid.step(self.model, physics.rigid, **options)
         else:

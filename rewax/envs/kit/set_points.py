@@ -1,6 +1,6 @@
 """Hands that follow set points without jumps of their velocity, which would shake what they hold."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -23,6 +23,7 @@ class Following(ThinTask):
     """
 
     rate: Scalar
+    limits_joints: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

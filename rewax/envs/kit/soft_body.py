@@ -8,28 +8,60 @@ from rewax.envs.kit.appearance import soft_appearance, soft_values
 from rewax.envs.kit.checks import checked_observation
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.start_noise import ResetNoise
 from rewax.envs.kit.task import Task, against
 from rewax.physics import mpm, tets, thin
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.arguments import check_instance, real_array
+from rewax.physics.numerics.fields import check_fields, instance
 from rewax.physics.tets import TetScene, TetState
 from rewax.physics.thin import ThinScene, ThinState
-from rewax.types import Array, Key, Observation
+from rewax.types import Array, Key, Observation, Vector
 
 Scene: TypeAlias = MPMScene | TetScene | ThinScene
 Soft: TypeAlias = MPMState | TetState | ThinState
+
+
+def _check_points(name: str, value: Any) -> None:
+    remedy = "give positions in metres, shape (num_points, 3)"
+    shape = real_array(name, value, remedy).shape
+    if len(shape) < 2 or shape[-1] != 3:
+        raise ValueError(f"{name} has shape {shape}: {remedy}")
+
+
+_FIELDS = {
+    "rest_positions": _check_points,
+    "noise": instance(ResetNoise, "give reset_noise(lower, upper), or leave it out for none"),
+    "cloud": instance(PointCloud, "give PointCloud(num_points=...)"),
+}
 
 
 class SoftBodyTask(Task):
     """Base of ``SoftTask`` and ``CoupledTask``. Their physics has the field ``soft``: particles, or vertices.
 
     ``noise_fields`` names the fields that are 0 in a task without noise of a reset. ``rewax.identify`` sets them to 0.
-    A task whose ``start`` draws more of its soft body names the sizes of these draws, too.
+    A task whose ``start`` draws more of its soft body names the sizes of these draws, too. ``kinds`` holds the class of
+    the state for each class of scene.
     """
 
     scene: Scene
+    rest_positions: Vector
+    noise: ResetNoise
     cloud: PointCloud
     noise_fields: ClassVar[tuple[str, ...]] = ("noise",)
+    kinds: ClassVar[dict[type, type]] = {MPMScene: MPMState, TetScene: TetState, ThinScene: ThinState}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = " or ".join(kind.__name__ for kind in self.kinds)
+        check_instance("scene", self.scene, tuple(self.kinds), f"give one of the class {names}")
+        check_fields(_FIELDS, vars(self))
+
+    @property
+    def soft_kind(self) -> type:
+        """Class of the state of the soft body."""
+        return next(state for scene, state in self.kinds.items() if isinstance(self.scene, scene))
 
     def points(self, physics: Any) -> tuple[Array, Array]:
         """Positions and velocities of all points, in the frame and the units of the observation, shape (num_points, 3)

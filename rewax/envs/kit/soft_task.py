@@ -4,7 +4,7 @@ A subclass defines observation and reward; see ``examples/custom_soft_task.py``.
 joints move linearly within a control step and stop at their limits.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.envs.kit.checks import checked_poses, checked_start
-from rewax.envs.kit.options import integer_option
+from rewax.envs.kit.options import flag_option, integer_option
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
@@ -23,6 +23,7 @@ from rewax.physics import mpm, tets
 from rewax.physics.contact import WALLS, Patches, Wrench, drawings
 from rewax.physics.mpm import MPMState
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.arguments import real_array
 from rewax.physics.numerics.clipping import clipped
 from rewax.physics.tets import TetScene, TetState
 from rewax.sensors.world import World
@@ -60,7 +61,8 @@ class SoftTask(SoftBodyTask):
       scene: the soft bodies, the tools as its colliders, walls and ground.
       rest_positions: points before the noise of a reset [m], shape (num_points, 3).
       noise: random shift and stretch of the points at a reset.
-      joint_start, joint_lower, joint_upper: first joint_q and its limits [m, rad], shape (num_joints,).
+      joint_start, joint_lower, joint_upper: first joint_q and its limits [m, rad], shape (num_joints,). The start may
+        lie beyond a limit by joint_step at most: the first step then moves the joint to the limit.
       joint_step: change of joint_q per control step for action 1 [m, rad], shape (num_joints,).
       cloud: the observed points.
       num_substeps: substeps per control step (static).
@@ -88,6 +90,8 @@ class SoftTask(SoftBodyTask):
     list_every: int | None = struct.static_field(default=None)
     store_every: int = struct.static_field(default=1)
     touch: dict[str, Patches] | None = None
+    limits_joints: ClassVar[bool] = True
+    """Whether the limits are those of the joints themselves, and not of set points that the joints follow."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,14 +101,15 @@ class SoftTask(SoftBodyTask):
                 f"list_every is {self.list_every}, but tetrahedra have no list of active nodes: leave it out"
             )
         integer_option("store_every", self.store_every, "give a divisor of num_substeps, 1 to store every state")
+        flag_option("exact_limits", self.exact_limits)
+        wanted = _shape_of_joints("joint_start", self.joint_start)
         for name in ("joint_lower", "joint_upper", "joint_step"):
-            shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)
-            if shape != wanted:
+            if (shape := _shape_of_joints(name, getattr(self, name))) != wanted:
                 raise ValueError(f"{name} has shape {shape}, but joint_start {wanted}: give one number for each joint")
         self._check_joints()
 
     def _check_joints(self) -> None:
-        """Raises ValueError for concrete joints without a range, or that move against their action."""
+        """Raises ValueError for concrete joints without a range, that move against their action, or start outside."""
         joints = (self.joint_lower, self.joint_upper, self.joint_step)
         if any(isinstance(numbers, Tracer) for numbers in joints):
             return
@@ -113,6 +118,15 @@ class SoftTask(SoftBodyTask):
             raise ValueError(f"joint_lower is {lower} and joint_upper {upper}: give a lower limit below the upper one")
         if not (np.all(step >= 0) and np.all(np.isfinite(step))):
             raise ValueError(f"joint_step is {step}: give the change per control step for action 1, 0 or more")
+        if not self.limits_joints or isinstance(self.joint_start, Tracer):
+            return
+        start = np.asarray(self.joint_start)
+        beyond = np.maximum(lower - start, start - upper)
+        if not np.all(beyond <= step + 1e-5 * (1.0 + np.abs(start))):
+            raise ValueError(
+                f"joint_start is {start}, outside of the limits {lower} to {upper}, to which the first step would make "
+                "the tools jump: give a start within the limits"
+            )
 
     # --- Methods that a task defines ---
 
@@ -162,7 +176,7 @@ class SoftTask(SoftBodyTask):
     def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "the state of the task"))
+        soft, task = checked_start(self, self.start(positions, start_key), {"the soft bodies": self.soft_kind})
         physics = SoftPhysics(
             soft=soft,
             joint_q=self.joint_start,
@@ -246,3 +260,11 @@ class SoftTask(SoftBodyTask):
         particles, (felt, status) = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
         felt = jax.tree.map(lambda a: a.mean(0), felt)
         return particles, felt, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
+
+
+def _shape_of_joints(name: str, value: Any) -> tuple[int, ...]:
+    remedy = "give one number for each joint"
+    shape = real_array(name, value, remedy).shape
+    if not shape:
+        raise ValueError(f"{name} is one number: {remedy}, a tuple of one for one joint")
+    return shape

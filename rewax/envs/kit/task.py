@@ -8,10 +8,18 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
-from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
+from rewax.envs.kit.checks import (
+    check_key,
+    checked_action,
+    checked_next_task,
+    checked_observation,
+    checked_reward,
+    checked_terminated,
+)
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.task_repr import task_repr
 from rewax.physics.contact import Patches
+from rewax.physics.numerics.checks import shown
 from rewax.physics.numerics.clipping import clipped
 from rewax.sensors.camera import Camera
 from rewax.types import Array, Key, Observation, PyTree
@@ -36,6 +44,9 @@ class Task(struct.Replaceable):
     def __post_init__(self) -> None:
         for name in ("num_substeps", "max_steps"):
             integer_option(name, getattr(self, name), _COUNTS[name])
+        touch = {} if self.touch is None else self.touch
+        if not isinstance(touch, dict) or not all(isinstance(felt, Patches) for felt in touch.values()):
+            raise ValueError(f"touch is {shown(self.touch)}: give None, and wrap the task in Sensing with a Touch")
 
     # --- Methods that a task defines ---
 
@@ -134,17 +145,18 @@ class Task(struct.Replaceable):
         Gradient: exact, through contacts; zero with respect to components of the action beyond [-1, 1].
 
         Raises:
-          ValueError: the action has another shape than ``action_spec``.
+          ValueError: the action has another shape than ``action_spec``, or holds no real numbers; or a method of the
+            task returned something else than its description says.
         """
-        check_action(action, self.action_spec)
-        action = clipped(action, -1.0, 1.0).astype(state.physics.action.dtype)
+        action = clipped(checked_action(action, self.action_spec), -1.0, 1.0).astype(state.physics.action.dtype)
         physics, status = self.advance(state.physics, action)
         reward, metrics = checked_reward(self, self.reward(physics))
-        terminated = self.terminated(physics)
+        terminated = checked_terminated(self, self.terminated(physics))
         key = state.key
         if physics.task is not None:
             key, task_key = jax.random.split(key)
-            physics = physics.replace(task=self.next_task(physics, task_key))
+            new = checked_next_task(self, self.next_task(physics, task_key), physics.task)
+            physics = physics.replace(task=new)
         obs, key = self.seen(physics, key)
         return next_state(
             state.replace(key=key),

@@ -1,6 +1,6 @@
 """Base of tasks on cloth and ropes, whose held vertices and grasps follow the joints."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -14,7 +14,7 @@ from rewax.envs.kit.worlds import thin_world, with_tools
 from rewax.physics import thin
 from rewax.physics.contact import Collider
 from rewax.physics.numerics import Pose
-from rewax.physics.thin import ThinScene
+from rewax.physics.thin import ThinScene, ThinState
 from rewax.sensors.world import World
 from rewax.types import Array, Key
 
@@ -37,6 +37,7 @@ class ThinTask(SoftTask):
 
     scene: ThinScene  # pyright: ignore[reportIncompatibleVariableOverride]
     thickness: float = struct.static_field(default=0.01)
+    kinds: ClassVar[dict[type, type]] = {ThinScene: ThinState}
 
     def __post_init__(self) -> None:
         super().__post_init__()

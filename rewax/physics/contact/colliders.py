@@ -22,6 +22,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, instance, integer, items, static
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.solid import distance_to
 from rewax.types import Array, Scalar, Vector
 
 T = TypeVar("T")
@@ -207,7 +208,7 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
     edges = collider.shape.has_edges
     local, body = at_nodes(placed, position)
     (lx, ly, lz), (bx, by, bz) = compute_once(local) if edges else materialize(local), materialize(body)
-    distance, local_normal = collider.shape.distance((lx, ly, lz))
+    distance, local_normal = distance_to(collider.shape, (lx, ly, lz))
     # Clipped before exp: deep inside exp would overflow, and its derivative would be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
     # Computed once: each velocity component compares the influence with ``MIN_INFLUENCE``, and all must agree. It is

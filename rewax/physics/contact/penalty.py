@@ -11,6 +11,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes.solid import distance_to
 from rewax.types import Array, Scalar, Vector
 
 
@@ -130,7 +131,7 @@ def surface(collider: Collider, x: Vec3, body: Pose) -> tuple[Array, Vec3, Vec3]
     in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - body.position[i]))
     own = cp.split_matrix(collider.rotation)
     local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
-    distance, normal = collider.shape.distance(local)
+    distance, normal = distance_to(collider.shape, local)
     return distance, cp.matvec(rotation, cp.matvec(own, normal)), in_body
 
 

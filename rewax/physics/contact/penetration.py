@@ -9,6 +9,7 @@ from rewax.physics.contact.colliders import Collider, runs, shape_pose, stacked
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes.solid import distance_to
 from rewax.types import Array
 
 
@@ -26,7 +27,7 @@ def penetration(colliders: Sequence[Collider], bodies: Pose, position: Vec3) -> 
     def depth(collider: Collider, pose: Pose) -> Array:
         from_center = cp.vector(lambda i: position[i] - pose.position[i])
         local = cp.matvec(cp.split_matrix(pose.rotation.T), from_center)
-        return -jnp.min(collider.shape.distance(local)[0])
+        return -jnp.min(distance_to(collider.shape, local)[0])
 
     deepest = [jnp.full((), -jnp.inf, position[0].dtype)]
     for where in runs(colliders):

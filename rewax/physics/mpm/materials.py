@@ -26,6 +26,7 @@ from rewax.physics.mpm.laws.base import (
 )
 from rewax.physics.mpm.laws.fluids import MIN_FLUID_VOLUME
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.arguments import check_pytree
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.fields import check_fields, instance, optional
@@ -48,7 +49,8 @@ class Material(struct.Replaceable):
       muscle: ``Muscle`` or another ``ActiveStress``; None: passive.
 
     Raises:
-      ValueError: a value that is no such law; a fluid with a plasticity.
+      ValueError: a value that is no such law, or whose class is not decorated with ``struct.dataclass``; a fluid with a
+        plasticity.
 
     Example:
       >>> dough = Material(
@@ -66,6 +68,8 @@ class Material(struct.Replaceable):
 
     def __post_init__(self) -> None:
         check_fields(_LAWS, vars(self))
+        for name, law in self.laws.items():
+            check_pytree(name, law)
         if isinstance(self.elasticity, Fluid) and self.plasticity is not None:
             raise ValueError(
                 f"plasticity is {type(self.plasticity).__name__} with {type(self.elasticity).__name__}, a fluid, which "

@@ -14,7 +14,7 @@ from rewax.physics.contact.colliders import COLLIDERS, Collider, Overlap, check_
 from rewax.physics.contact.contact_checks import check_rotations
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.material_checks import MATERIAL
+from rewax.physics.mpm.material_checks import MATERIAL, check_laws
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
     VOLUME,
@@ -184,9 +184,10 @@ def make_scene(
 
     Raises:
       ValueError: an illegal value (not finite; a modulus, density, volume, size or softness that is not positive;
-        friction below 0), a wall beyond all nodes, counts or arrays that do not fit together, a dt above
-        ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only static fields and shapes
-        are checked; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
+        friction below 0), walls that act on all nodes, a law whose methods return an illegal stiffness or viscosity,
+        counts or arrays that do not fit together, a dt above ``largest_stable_dt``. The message names field, value and
+        remedy. Inside ``jit`` only static fields and shapes are checked; ``check_status`` sets
+        ``Status.INVALID_PARAMETERS`` for the rest.
     """
     check_fields(_SCENE, locals())
     materials = check_materials(material, particle_counts)
@@ -195,7 +196,8 @@ def make_scene(
     check_lengths(materials, particle_counts, particle_volume)
     check_walls(walls, grid)
     dt = float(dt)
-    for one in materials:
+    for i, one in enumerate(materials):
+        check_laws(one, f"material[{i}]." if len(materials) > 1 else "")
         limit = largest_stable_dt(one, grid)
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
             raise ValueError(

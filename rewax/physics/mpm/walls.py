@@ -43,7 +43,8 @@ class Wall:
 
     Raises:
       ValueError: a position that is not finite or is traced, or no ``WallKind``. ``make_scene`` refuses a wall that
-        acts on all nodes or on none, and the friction of a wall of another kind.
+        acts on all nodes or on none, two opposite walls that together act on all nodes (unless both are ``SLIP``, which
+        holds the axis alone), and the friction of a wall of another kind.
     """
 
     position: float = struct.static_field()
@@ -92,7 +93,7 @@ def wall_numbers(walls: Walls) -> list[Number]:
 
 
 def check_walls(walls: Walls, grid: Grid) -> None:
-    """Raises ValueError for a wall that acts on all nodes or on none, or whose kind does not use its friction."""
+    """Raises ValueError for walls that act on all nodes or on none, or whose kind does not use their friction."""
     for side, inward in (("lower", 1.0), ("upper", -1.0)):
         for axis, wall in enumerate(getattr(walls, side)):
             if wall is None:
@@ -112,6 +113,16 @@ def check_walls(walls: Walls, grid: Grid) -> None:
                     f"walls.{side}[{axis}].friction is {shown}, but a wall of {wall.kind} has none: leave it "
                     "out, or give WallKind.SEPARATING"
                 )
+    for axis, (lower, upper) in enumerate(zip(walls.lower, walls.upper, strict=True)):
+        if lower is None or upper is None or lower.kind is upper.kind is WallKind.SLIP:  # which is plane strain
+            continue
+        nodes = np.arange(grid.shape[axis])
+        if (_behind(grid, lower, axis, 1.0, nodes) | _behind(grid, upper, axis, -1.0, nodes)).all():
+            raise ValueError(
+                f"walls.lower[{axis}].position is {lower.position:g} m and walls.upper[{axis}].position "
+                f"{upper.position:g} m, which together act on all nodes: give a lower wall below the upper one with "
+                "nodes between them, or two of WallKind.SLIP to hold the axis alone"
+            )
 
 
 def check_before_walls(walls: Walls, grid: Grid, x: Array) -> None:

@@ -16,6 +16,13 @@ def check_instance(name: str, value: Any, kind: type | tuple[type, ...], remedy:
         raise ValueError(f"{name} is {shown(value)}: {remedy}")
 
 
+def check_pytree(name: str, value: Any) -> None:
+    """Raises ValueError unless the value's own class is decorated with ``rewax.struct.dataclass``."""
+    kind = type(value)
+    if "__dataclass_fields__" not in vars(kind):
+        raise ValueError(f"{name} is a {kind.__name__}, which is no pytree: decorate it with rewax.struct.dataclass")
+
+
 def check_integer(name: str, value: Any, least: int, remedy: str | None = None) -> None:
     """Raises ValueError unless the value is an integer of at least ``least`` that fits in 32 bits; a float is none."""
     remedy = remedy or f"give an integer, at least {least}"
@@ -48,4 +55,4 @@ def real_array(name: str, value: Any, remedy: str) -> Array | np.ndarray:
     return array
 
 
-__all__ = ["check_instance", "check_integer", "check_plain", "real_array"]
+__all__ = ["check_instance", "check_integer", "check_plain", "check_pytree", "real_array"]

@@ -221,6 +221,15 @@ def shown(value: Any) -> str:
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
+def described(value: Any) -> str:
+    """A value in a message: numbers and strings themselves, arrays by type and shape, other objects by type."""
+    if isinstance(value, (jax.Array, np.ndarray)):
+        return f"an array of {value.dtype} of shape {value.shape}"
+    if isinstance(value, tuple) and type(value) is tuple:
+        return f"a tuple of {len(value)}"
+    return repr(value) if isinstance(value, (bool, int, float, str, type(None))) else f"a {type(value).__name__}"
+
+
 def _real_array(number: Number) -> np.ndarray:
     if number.value is None:
         raise ValueError(f"{number.name} is None, but must be {number.legal}: {number.remedy}")

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.arguments import check_pytree
 from rewax.physics.numerics.checks import as_array, shown
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
 from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.rays import traced_entry
+from rewax.physics.shapes.solid import corners_of, distance_to
 from rewax.types import Array, Scalar
 
 
@@ -82,7 +84,7 @@ class Shape(struct.Replaceable):
         """
         if not _writes(self, "bounding_box"):
             return jnp.inf
-        lower, upper = self.bounding_box()
+        lower, upper = corners_of(self)
         farthest = jnp.maximum(jnp.abs(jnp.asarray(lower)), jnp.abs(jnp.asarray(upper)))
         return jnp.sqrt(jnp.sum(farthest**2, axis=-1))
 
@@ -157,7 +159,8 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
       Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
 
     Raises:
-      ValueError: shape is no ``Shape``, or points are no numbers of shape (..., 3).
+      ValueError: shape is no ``Shape``, its ``distance`` returns something else, or points are no numbers of shape
+        (..., 3).
 
     Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the centre of a
       ball, the axis of a capsule) the normal is not defined: there it is zero, or the mean of the normals around (on
@@ -166,7 +169,7 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
     given = points if isinstance(points, jax.Array) else as_array(points)
     if given.shape[-1:] != (3,) or not jnp.issubdtype(given.dtype, jnp.number):
         raise ValueError(f"points is {shown(points)}: give points of shape (..., 3) in metres")
-    d, n = require_shape(shape).distance(cp.split_vector(given))  # pyright: ignore[reportArgumentType]
+    d, n = distance_to(require_shape(shape), cp.split_vector(given))  # pyright: ignore[reportArgumentType]
     return d, cp.join_vector(n)
 
 
@@ -184,9 +187,7 @@ def require_shape(shape: Any, name: str = "shape") -> Shape:
         raise ValueError(
             f"{name} is {shown(shape)}: give a shape of rewax.physics.shapes, or of a class derived from Shape"
         )
-    kind = type(shape)
-    if "__dataclass_fields__" not in vars(kind):
-        raise ValueError(f"{name} is a {kind.__name__}, which is no pytree: decorate it with rewax.struct.dataclass")
+    check_pytree(name, shape)
     return shape
 
 

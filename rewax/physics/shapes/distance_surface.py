@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.quadrature import Solid
+from rewax.physics.numerics import components as cp
 from rewax.physics.shapes.sampled_surface import MAX_NODES, sampled_surface
+from rewax.physics.shapes.solid import Solid, corners_of, distance_to
 
 _MARGIN = 2
 """Cells of the grid beyond the bounding box on each side."""
@@ -41,14 +42,14 @@ def _surface(structure: Any, leaves: tuple) -> tuple[np.ndarray, np.ndarray] | N
     # The caller may be tracing a program; the distance must be evaluated at once.
     with jax.ensure_compile_time_eval():
         shape = jax.tree.unflatten(structure, [jnp.asarray(n) for n in numbers])
-        lower, upper = (np.asarray(corner, np.float64) for corner in shape.bounding_box())
+        lower, upper = (np.asarray(corner, np.float64) for corner in corners_of(shape))
         spacing = float(np.max(upper - lower)) / (MAX_NODES - 1 - 2 * _MARGIN)
         counts = np.ceil((upper - lower) / spacing - 1e-9).astype(int) + 1 + 2 * _MARGIN
         axes = [
             m + spacing * (np.arange(n) - 0.5 * (n - 1)) for m, n in zip(0.5 * (lower + upper), counts, strict=True)
         ]
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        values, _ = shape.distance(tuple(jnp.asarray(x, float) for x in nodes.T))
+        values, _ = distance_to(shape, cp.vector(lambda i: jnp.asarray(nodes[:, i], float)))
         values = np.asarray(values, np.float32).reshape(counts)
     return sampled_surface(values, np.array([axis[0] for axis in axes]), spacing)
 

@@ -5,14 +5,13 @@ error is of second order in the cell size.
 """
 
 import itertools
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.numerics.components import Vec3
+from rewax.physics.shapes.solid import Solid, corners_of, distance_to
 from rewax.types import Array, Scalar
 
 NUM_CELLS = 64
@@ -21,14 +20,6 @@ _LARGEST_ERROR = 0.01
 """Of a volume, relative."""
 _OFF_CENTER = 1e-3
 """A centre of mass may be this far from the origin, in longest edges of the bounding box: ten times the error."""
-
-
-class Solid(Protocol):
-    """The methods of a shape that quadrature calls."""
-
-    def distance(self, p: Vec3) -> tuple[Array, Vec3]: ...
-
-    def bounding_box(self) -> tuple[Array, Array]: ...
 
 
 def fractions_inside(shape: Solid) -> tuple[Array, Array, Array]:
@@ -42,7 +33,7 @@ def fractions_inside(shape: Solid) -> tuple[Array, Array, Array]:
 
     Gradient: exact for the returned values, with respect to the shape's sizes.
     """
-    lower, upper = (jnp.asarray(corner) for corner in shape.bounding_box())
+    lower, upper = (jnp.asarray(corner) for corner in corners_of(shape))
     fractions, means = _fractions(shape, lower, upper)
     if not isinstance(means, Tracer):
         fine, coarse = np.asarray(means).tolist()
@@ -61,7 +52,7 @@ def _fractions(shape: Solid, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Those of all cells; their mean, and that on cells of twice the size, without gradient, shape (2,)."""
     steps = jnp.arange(NUM_CELLS + 1, dtype=jnp.result_type(lower, upper, float)) / NUM_CELLS
     x, y, z = jnp.meshgrid(*((lower + steps[:, None] * (upper - lower)).T), indexing="ij")
-    values, _ = shape.distance((x.reshape(-1), y.reshape(-1), z.reshape(-1)))
+    values, _ = distance_to(shape, (x.reshape(-1), y.reshape(-1), z.reshape(-1)))
     values = values.reshape(x.shape)
     fine, coarse = (jnp.sum(fractions_below_zero(v), axis=0) / 6.0 for v in (values, values[::2, ::2, ::2]))
     return fine, jax.lax.stop_gradient(jnp.stack([jnp.mean(fine), jnp.mean(coarse)]))

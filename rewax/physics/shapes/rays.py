@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.grid_cells import take
+from rewax.physics.shapes.solid import distance_to
 from rewax.types import Array, Scalar
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def traced_entry(shape: Shape, origin: Vec3, direction: Vec3, start: Array | Non
     begin = jnp.where(jnp.isfinite(first), first, 0.0)
 
     def at(t: Array) -> tuple[Array, Vec3]:
-        return shape.distance(cp.vector(lambda i: origin[i] + t * direction[i]))
+        return distance_to(shape, cp.vector(lambda i: origin[i] + t * direction[i]))
 
     def advance(_: int, t: Array) -> Array:
         return t + share * jnp.maximum(at(t)[0], 0.0)

@@ -21,6 +21,8 @@ from rewax.types import Array, Key
 
 CHUNK = 8192
 """Number of points in each evaluation of a distance. A constant size needs one compilation per kind of shape."""
+MAX_POINTS = 10**9
+"""Largest number of points in a box."""
 
 
 @checked(
@@ -76,7 +78,7 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       Positions [m], float64 of shape (num_points, 3), z varying fastest.
 
     Raises:
-      ValueError: a spacing or an edge that is not positive, or a center that is not finite.
+      ValueError: a spacing or an edge that is not positive, a center that is not finite, or more than ``MAX_POINTS``.
 
     Gradient: none.
 
@@ -84,6 +86,7 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       >>> fill_box((0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 0.1).shape
       (8, 3)
     """
+    _check_number("spacing", spacing, size)
     counts = [max(1, round(edge / spacing)) for edge in size]
     axes = [
         middle + edge * ((np.arange(n) + 0.5) / n - 0.5) for middle, edge, n in zip(center, size, counts, strict=True)
@@ -103,7 +106,8 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
       Positions in the shape's frame [m], float64 of shape (num_points, 3), z varying fastest.
 
     Raises:
-      ValueError: a spacing that is not positive or too large for any point, or a shape without bounds.
+      ValueError: a spacing that is not positive, too large for any point or too small (``MAX_POINTS`` in the bounding
+        box), or a shape without bounds.
 
     Gradient: none.
 
@@ -114,6 +118,7 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     lower, upper = bounding_box(shape)
     if shape.fills_its_box:
         return fill_box(tuple(0.5 * (lower + upper)), tuple(upper - lower), spacing)
+    _check_number("spacing", spacing, upper - lower)
     counts = np.maximum(1, np.round((upper - lower) / spacing)).astype(int)
     axes = [m + spacing * (np.arange(n) - 0.5 * (n - 1)) for m, n in zip(0.5 * (lower + upper), counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -171,13 +176,16 @@ def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
       Positions in the shape's frame [m], float64 of shape (num_points, 3); the same for the same key.
 
     Raises:
-      ValueError: a radius that is not positive, a shape without bounds, a traced key.
+      ValueError: a radius that is not positive or too small (``MAX_POINTS`` in the bounding box), a shape without
+        bounds, a traced key.
 
     Gradient: none.
     Source: Ebeida et al. 2012, "A simple algorithm for maximal Poisson-disk sampling in high dimensions". Deviations:
       two levels of cells, and darts outside the shape are pulled onto its surface.
     """
-    return maximal_poisson_disk(_generator(key), _distance(shape), *bounding_box(shape), radius)
+    lower, upper = bounding_box(shape)
+    _check_number("radius", radius, upper - lower)
+    return maximal_poisson_disk(_generator(key), _distance(shape), lower, upper, radius)
 
 
 Distance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -203,6 +211,17 @@ def _distance(shape: Shape) -> Distance:
         return np.concatenate(distances), np.concatenate(normals)
 
     return distance
+
+
+def _check_number(name: str, spacing: float, size: Sequence[float] | np.ndarray) -> None:
+    """Raises ValueError if a box holds more than ``MAX_POINTS`` points of this spacing."""
+    with np.errstate(over="ignore"):
+        number = np.prod(np.maximum(1.0, np.asarray(size, float) / spacing))
+    if number > MAX_POINTS:
+        raise ValueError(
+            f"{name} is {spacing:g} m, which makes about {number:.2g} points in the box: give a larger one, for at "
+            f"most {MAX_POINTS:g} points"
+        )
 
 
 def _generator(key: Key) -> np.random.Generator:

@@ -25,6 +25,7 @@ from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.physics.shapes.solid import distance_to
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import DampingLaw, first_piola_stress
 from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, check_vertices, has_invalid_parameters
@@ -161,7 +162,7 @@ def _is_pierced(scene: TetScene, x: Array, bodies: Pose) -> Array:
         shares = jnp.einsum("nij,nj->ni", normals, center - corners[:, 0], precision="highest")
         within = jnp.all(shares >= 0, axis=1) & (jnp.sum(shares, axis=1) <= volume[:, 0])
         zero = jnp.zeros_like(center[0])
-        found |= jnp.any(within) & (collider.shape.distance((zero, zero, zero))[0] < 0)
+        found |= jnp.any(within) & (distance_to(collider.shape, (zero, zero, zero))[0] < 0)
     return found
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from rewax.envs.base import Env, State
 from rewax.envs.memory import stage
 from rewax.envs.wrappers import select
+from rewax.physics.numerics.checks import static_integer
 from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
@@ -52,6 +53,9 @@ def make_evaluate(
       ``returns`` and ``lengths`` of the episodes, shape (num_episodes,); the number of episodes that ``failed``
       numerically, and that set each ``status/<BIT>``; ``success``, a share, for tasks with this metric.
 
+    Raises:
+      ValueError: ``num_episodes`` is no positive integer.
+
     Gradient: none.
 
     Example:
@@ -60,7 +64,7 @@ def make_evaluate(
       >>> nothing = constant_policy(jnp.zeros(env.action_spec.shape))  # doctest: +SKIP
       >>> make_evaluate(env, nothing, 64)(None, jax.random.key(7))["mean"]  # doctest: +SKIP
     """
-    _check_num_episodes(num_episodes)
+    num_episodes = static_integer("num_episodes", num_episodes, 1, "give an integer of at least 1")
     policy_at = with_step(policy)
 
     @functools.partial(jax.jit, static_argnames="deterministic", compiler_options=dict(compiler_options or {}) or None)
@@ -80,8 +84,11 @@ def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluat
 
     Returns:
       A jitted ``evaluate(env, train_state, key, deterministic=False) -> Evaluation``.
+
+    Raises:
+      ValueError: ``num_episodes`` is no positive integer.
     """
-    _check_num_episodes(num_episodes)
+    num_episodes = static_integer("num_episodes", num_episodes, 1, "give an integer of at least 1")
     policy_at = with_step(policy)
 
     @functools.partial(jax.jit, static_argnames="deterministic")
@@ -107,9 +114,9 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
       The dict that ``make_evaluate`` describes.
 
     Raises:
-      ValueError: actions have another shape.
+      ValueError: actions have another shape, or ``num_episodes`` is no positive integer.
     """
-    _check_num_episodes(num_episodes)
+    num_episodes = static_integer("num_episodes", num_episodes, 1, "give an integer of at least 1")
     shape = (env.episode_length, *env.action_spec.shape)
     if jnp.shape(actions) != shape:
         raise ValueError(f"actions have shape {jnp.shape(actions)}: this environment needs {shape}")
@@ -194,8 +201,3 @@ def with_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Any]:
         return policy(train_state, obs, key, deterministic=deterministic, **more)
 
     return policy_at
-
-
-def _check_num_episodes(num_episodes: int) -> None:
-    if num_episodes < 1:
-        raise ValueError(f"num_episodes is {num_episodes}: use 1 or more")

@@ -19,6 +19,7 @@ from rewax.training.loop.devices import SeedPlacement, seed_placement
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import TrainResult
+from rewax.training.loop.start import check_arguments
 from rewax.training.loop.train import FINISHING, NOTHING_LOST, NOTHING_TRAINED, meanwhile, prepared, programs_of
 from rewax.training.storage.run_directory import full_disk_is_one_sentence, hold
 
@@ -45,6 +46,7 @@ def train_seeds(
     Raises:
       ValueError: as for ``train``.
     """
+    check_arguments(agent, env, configs, describe)
     console = console or Console()
     with contextlib.ExitStack() as stack:
         made = [

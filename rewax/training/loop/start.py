@@ -1,6 +1,6 @@
 """The initial training state of a run: a fresh one, or that of the newest checkpoint."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from rewax.agents.actor_critic import actor_of
 from rewax.agents.base import Agent
 from rewax.agents.config import steps_in
 from rewax.envs.base import Env
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.registry import require_env
+from rewax.physics.numerics.arguments import check_instance
 from rewax.training.config import MOST_STEPS, TrainConfig
 from rewax.training.loop.progress import say
 from rewax.training.loop.warm_start import warm_started
@@ -21,6 +24,16 @@ from rewax.training.storage.description import changes, one_sided, plain, read_c
 from rewax.types import Key
 
 _FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
+
+
+def check_arguments(agent: Any, env: Any, configs: Sequence[Any], describe: Any) -> None:
+    """Raises ValueError for an argument of ``train`` that is of another type."""
+    check_instance("agent", agent, Agent, "give an agent, make_sapo(env) for example")
+    require_env(env)
+    for config in configs:
+        check_instance("config", config, TrainConfig, "give a TrainConfig(num_iterations=..., run_dir=...)")
+    if describe is not None:
+        check_instance("describe", describe, Mapping, "give entries of config.json by name, or None")
 
 
 def first_state(
@@ -44,10 +57,12 @@ def first_state(
       console: for notes on differences from the run that is resumed.
 
     Raises:
-      ValueError: the directory holds a run and ``config.resume`` is off, or a run that this configuration cannot
-        resume; or ``config.init_from`` does not fit, or is not that of the run that is resumed.
+      ValueError: the environment has other observations or actions than that of the agent; the directory
+        holds a run and ``config.resume`` is off, or a run that this configuration cannot resume; or
+        ``config.init_from`` does not fit, or is not that of the run that is resumed.
     """
     check_count(agent.config, env, config)
+    _check_specs(agent, env)
     if not config.resume:
         metrics = run_dir / "metrics.csv"
         if checkpoint.latest_step(run_dir) is not None:
@@ -119,6 +134,30 @@ def check_count(agent_config: Any, env: Env, config: TrainConfig) -> None:
             f"num_iterations is {config.num_iterations} with {per_iteration} control steps each at most: give at most "
             f"{MOST_STEPS // per_iteration}, because a run counts up to {MOST_STEPS} steps"
         )
+
+
+def _check_specs(agent: Agent, env: Env) -> None:
+    """Raises ValueError if the policy of an agent reads other observations than an environment's, or acts otherwise."""
+    actor = actor_of(agent.policy)
+    if actor is None:
+        return
+    found = {name: tuple(spec.shape) for name, spec in env.observation_spec.items()}
+    read = actor.shapes_read
+    seen = {name: shape for name, shape in found.items() if name in read or not actor.config.observe}
+    if seen != read:
+        raise ValueError(
+            f"env observes {_listed(found)}, but the agent was built for {_listed(read)}: give the environment of the "
+            "agent"
+        )
+    if tuple(env.action_spec.shape) != (actor.action_size,):
+        raise ValueError(
+            f"env takes actions of shape {env.action_spec.shape}, but the agent was built for ({actor.action_size},): "
+            "give the environment of the agent"
+        )
+
+
+def _listed(shapes: Mapping[str, tuple[int, ...]]) -> str:
+    return ", ".join(f"{name} {shape}" for name, shape in shapes.items())
 
 
 def first_run(config: Mapping[str, Any]) -> str:

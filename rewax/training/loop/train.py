@@ -23,7 +23,7 @@ from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import RESUMED, Run, TrainResult
-from rewax.training.loop.start import first_run, first_state
+from rewax.training.loop.start import check_arguments, first_run, first_state
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
     append_lowering,
@@ -85,9 +85,11 @@ def train(
       ``sampled_mean``, ...), empty after an early stop; ``signum``; and ``failure``, a sentence if the run failed.
 
     Raises:
-      ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,
+      ValueError: an argument is of another type, ``env`` has other observations or actions than the environment of
+        ``agent``, ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,
         its run cannot be resumed, or ``wandb`` is asked for and not installed.
     """
+    check_arguments(agent, env, [config], describe)
     console = console or Console()
     if not leads():
         return _follow(agent, config)

@@ -24,6 +24,7 @@ import orbax.checkpoint as ocp
 
 from rewax.agents.base import Agent
 from rewax.agents.run_state import RunState
+from rewax.physics.numerics.checks import static_integer
 from rewax.training.storage.leaves import (
     ENTRIES,
     OtherStructure,
@@ -173,9 +174,9 @@ def restore(
         warning by default.
 
     Raises:
-      ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
-        (``DamagedCheckpoint``), a field has another shape or type than ``like`` (``OtherStructure``), or the machine
-        failed while reading (``Unread``), which leaves the checkpoint as it is.
+      ValueError: in one sentence: ``step`` is no integer, the directory is missing, holds no checkpoint, none can be
+        read (``DamagedCheckpoint``), a field has another shape or type than ``like`` (``OtherStructure``), or the
+        machine failed while reading (``Unread``), which leaves the checkpoint as it is.
     """
     return _newest(run_dir, lambda path: _read(path, like, restart, notify), step, set_aside, notify)
 
@@ -200,6 +201,8 @@ def _newest(
 ) -> T:
     """The result of ``read`` for the newest checkpoint that is not damaged; arguments as for ``restore``."""
     run_dir = Path(run_dir).absolute()
+    if step is not None:
+        step = static_integer("step", step, 0, "give the iteration of a checkpoint, or None for the newest")
     if not run_dir.is_dir():
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
     found = steps(run_dir)

@@ -42,14 +42,21 @@ def read_card(name: str, *, scale: str | None = None, folder: str | Path | None 
       folder: of the policies; None: that of the package.
 
     Raises:
-      ValueError: there is none; the message lists the policies that exist.
+      ValueError: there is none, and the message lists the policies that exist; or its card is damaged.
     """
     scales = [known for env, known in list_policies(folder) if env == name]
     if not scales or (scale is not None and scale not in scales):
         raise ValueError(_no_policy(name, scales, folder))
     if scale is None:
         scale = scales[0] if len(scales) == 1 else registry.default_scale()
-    return json.loads((_home(folder) / f"{name}-{scale}.json").read_text())
+    path = _home(folder) / f"{name}-{scale}.json"
+    try:
+        card: Any = json.loads(path.read_bytes())
+    except ValueError:
+        card = None
+    if not _is_card(card):
+        raise _damaged(path, folder)
+    return card
 
 
 def load_policy(
@@ -71,10 +78,13 @@ def load_policy(
       A run whose ``train_state`` holds the leaves that the policy reads; the others are None. ``config`` is the card.
 
     Raises:
-      ValueError: in one sentence: there is none, its file is damaged, or the task has changed since it was trained.
+      ValueError: in one sentence: there is none, a file of it is damaged, ``env`` is no environment, or the task has
+        changed since it was trained.
     """
+    if env is not None:
+        registry.require_env(env)
     card = read_card(name, scale=scale, folder=folder)
-    weights = _read_weights(_home(folder) / f"{card['env']}-{card['scale']}.npz", card)
+    weights = _read_weights(_home(folder) / f"{card['env']}-{card['scale']}.npz", card, folder)
     env = registry.make(card["env"], scale=card["scale"], **card["env_kwargs"]) if env is None else env
     _check_task(card, env)
     known = algorithm(card["agent"])
@@ -187,9 +197,22 @@ def _remedy(card: Mapping[str, Any]) -> str:
     return f"train another one, {card.get('command', 'rewax train')}, or use the version of rewax that it came with"
 
 
-def _read_weights(path: Path, card: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _is_card(card: Any) -> bool:
+    """Whether a card has the entries that ``load_policy`` reads."""
+    if not isinstance(card, dict) or not all(isinstance(card.get(name), str) for name in ("env", "scale", "agent")):
+        return False
+    parts = (card.get("env_kwargs"), card.get("task"), card.get(card["agent"]))
+    return isinstance(card.get("crc32"), int) and all(isinstance(part, dict) for part in parts)
+
+
+def _damaged(path: Path, folder: str | Path | None) -> ValueError:
+    remedy = "install rewax anew" if folder is None else "write it anew with save_policy"
+    return ValueError(f"{path} is missing or damaged: {remedy}")
+
+
+def _read_weights(path: Path, card: Mapping[str, Any], folder: str | Path | None) -> dict[str, np.ndarray]:
     if not path.is_file() or zlib.crc32(path.read_bytes()) != card["crc32"]:
-        raise ValueError(f"{path} is missing or damaged: install rewax anew")
+        raise _damaged(path, folder)
     with np.load(path) as file:
         return {key: file[key] for key in file.files}
 

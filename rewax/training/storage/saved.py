@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from rewax.agents.base import Act, Agent
 from rewax.agents.registry import algorithm, build_agent, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
+from rewax.envs.kit.checks import check_key
 from rewax.envs.memory import MEMORY, Remembered, initial_memory
+from rewax.physics.numerics.arguments import real_array
+from rewax.physics.numerics.checks import described
 from rewax.training.storage.description import read_config
 from rewax.training.storage.modules import import_recorded
 from rewax.types import Array, Key, Observation
@@ -56,18 +60,53 @@ class SavedRun(NamedTuple):
             action, memory = run.act(state.obs, memory=memory)
 
         Raises:
-          ValueError: the run learnt a sequence of actions, or a memory is given to a policy without one.
+          ValueError: the run learnt a sequence of actions; an observation is missing, or one, the key or the memory is
+            not that of one environment; or a memory is given to a policy without one.
         """
+        from rewax.agents.actor_critic import actor_of  # flax is slow to import, and loaded with an agent
+
         if not self.looks:
             raise ValueError(
                 "this run learnt a sequence of actions: call agent.policy(train_state, obs, key, step=...) instead"
             )
+        actor = actor_of(self.agent.policy)
+        obs = _checked(obs, None if actor is None else actor.shapes_read)
+        if key is not None:
+            check_key(key)
         first, drawn = self.initial_memory, jax.random.key(0) if key is None else key
         if first is not None:
+            if memory is not None and np.shape(memory) != first.shape:
+                raise ValueError(
+                    f"memory has shape {np.shape(memory)}: give shape {first.shape}, what act returned at the step "
+                    "before, and None at the first step"
+                )
             obs = {**obs, MEMORY: first if memory is None else memory}
         elif memory is not None:
             raise ValueError("memory is given, but this policy has none: leave it out")
         return _act(self.agent.policy, self.train_state, obs, drawn, deterministic=key is None)
+
+
+def _checked(obs: Any, shapes: Mapping[str, tuple[int, ...]] | None) -> Any:
+    """The arrays that a policy reads, of these shapes; all of them if the shapes are not known.
+
+    Raises:
+      ValueError: an array is missing or has another shape.
+    """
+    if not isinstance(obs, Mapping):
+        names = "" if shapes is None else f", {', '.join(shapes)},"
+        raise ValueError(f"the observation is {described(obs)}: give a dict of arrays by name{names} as state.obs")
+    if shapes is None:
+        return obs
+    read = {}
+    for name, shape in shapes.items():
+        if name not in obs:
+            given = ", ".join(map(str, obs)) or "nothing"
+            raise ValueError(f"the observation has no array {name!r}, only {given}: give {', '.join(shapes)}")
+        what = f"{name!r} of the observation"
+        read[name] = real_array(what, obs[name], f"give an array of shape {shape}")
+        if read[name].shape != shape:
+            raise ValueError(f"{what} has shape {read[name].shape}: give shape {shape}, and jax.vmap for a batch")
+    return read
 
 
 @functools.partial(jax.jit, static_argnames=("policy", "deterministic"))
@@ -85,12 +124,15 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         had ``randomize``, ``Randomized(env=env, randomize=randomize)``.
 
     Raises:
-      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` has a wrong entry.
+      ValueError: in one sentence: there is no such run or checkpoint, ``config.json`` has a wrong entry, or ``env`` is
+        no environment.
     """
     from rewax.training.storage import checkpoint  # orbax is slow to import
 
     if checkpoint.latest_step(run_dir) is None:
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
+    if env is not None:
+        registry.require_env(env)
     config = read_config(run_dir)
     import_recorded(config if env is None else {**config, "env": None}, run_dir)
     name, file = config.get("agent"), Path(run_dir) / "config.json"

@@ -46,6 +46,24 @@ def push():
     )
 
 
+@pytest.mark.parametrize(
+    ("method", "returned", "sentence"),
+    [
+        ("control", None, "control returned None: return one number for each actuator"),
+        (
+            "start",
+            (None, None, None),
+            "start returned None for the robot, which must be a RigidState: return the robot, ",
+        ),
+    ],
+)
+def test_what_a_method_returns_wrongly_is_named(method, returned, sentence, monkeypatch):
+    monkeypatch.setattr(Push, method, lambda self, *_: returned)
+    env = push()
+    with pytest.raises(ValueError, match=f"^Push.{sentence}"):
+        jax.eval_shape(lambda key: env.step(env.reset(key), jnp.zeros(1)), jax.random.key(0))
+
+
 def test_a_paddle_pushes_the_block_and_feels_it():
     env = push()
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))

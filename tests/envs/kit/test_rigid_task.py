@@ -245,6 +245,31 @@ def test_what_a_task_lacks_is_named():
         ENV.step(ENV.reset(jax.random.key(0)), jnp.zeros(2))
 
 
+@pytest.mark.parametrize(
+    ("method", "returned", "sentence"),
+    [
+        (
+            "start",
+            (jnp.zeros(1), jnp.zeros(1)),
+            "start returned an array .* for the bodies, which must be a RigidState",
+        ),
+        ("control", None, "control returned None: return one number for each actuator"),
+        ("terminated", jnp.zeros(1, bool), r"terminated returned an array of bool of shape \(1,\): return one boolean"),
+        ("next_task", jnp.zeros(2), r"next_task returned shape \(2,\) after \(1,\): keep the shape"),
+        ("observe", {"x": None}, r"observe\(physics\)\['x'\] is None, which is no array of real numbers: return real"),
+        ("reward", (1.0, {"x": "a"}), r"reward\(physics\)\[1\]\['x'\] is 'a', which is no array of real numbers"),
+    ],
+)
+def test_what_a_method_returns_wrongly_is_named(method, returned, sentence, monkeypatch):
+    monkeypatch.setattr(Rail, method, lambda self, *_: returned)
+    with pytest.raises(ValueError, match=rf"^Rail\.{sentence}"):
+        jax.eval_shape(lambda key: ENV.step(ENV.reset(key), jnp.zeros(1)), jax.random.key(0))
+
+
+def test_lists_are_as_good_as_arrays(start, step):
+    np.testing.assert_array_equal(ENV.step(start, [0.5]).obs["x"], step(start, jnp.array([0.5])).obs["x"])
+
+
 def test_numerical_failure_is_what_the_check_names():
     stiff = rigid.load(
         RAIL.replace("<joint ", '<joint range="-0.1 0.1" '), dt=DT, penalty=Penalty(stiffness=1e3, limit_stiffness=1e12)

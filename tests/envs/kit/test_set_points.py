@@ -24,12 +24,12 @@ class Held(Steered):
         return physics.joint_q[0], {}
 
 
-def held(kind=Held):
+def held(kind=Held, **changes):
     rope = thin.Rope(stretch=5.0, bending=1e-5, density=0.1, damping=1e-3)
     return kind(
         scene=thin.make_scene(mesh=MESH, dt=1e-3, rope=rope, held=[0], drag=1.0),
         rest_positions=MESH.vertices,
-        joint_start=(0.0, 0.0),
+        joint_start=changes.pop("joint_start", (0.0, 0.0)),
         joint_lower=(-0.1, -0.1),
         joint_upper=(0.1, 0.03),
         joint_step=(0.02, 0.02),
@@ -37,6 +37,7 @@ def held(kind=Held):
         cloud=PointCloud(num_points=3),
         num_substeps=20,
         max_steps=200,
+        **changes,
     )
 
 
@@ -100,3 +101,8 @@ def test_a_set_point_that_stands_at_its_limit_can_leave_it():
 def test_frozen_limits_are_refused():
     with pytest.raises(ValueError, match="exact_limits is False, but joints that follow set points have no limits"):
         held().replace(exact_limits=False)
+
+
+def test_joints_may_start_anywhere_because_their_limits_are_those_of_set_points():
+    env = held(joint_start=(0.0, -0.5))
+    np.testing.assert_allclose(env.reset(jax.random.key(0)).physics.task, [0.0, -0.1])

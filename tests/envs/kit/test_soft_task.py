@@ -40,6 +40,7 @@ def poke(**changes):
         contact=PenaltyContact(stiffness=50.0), colliders=(Collider(shape=Sphere(radius=0.3), friction=0.0),),
     )  # fmt: skip
     options = {
+        "scene": scene,
         "rest_positions": jnp.asarray(mesh.vertices, jnp.float32),
         "joint_start": jnp.array([-0.25]),
         "joint_lower": jnp.array([-0.6]),
@@ -51,7 +52,7 @@ def poke(**changes):
         "max_steps": 12,
         **changes,
     }
-    return Poke(scene=scene, **options)
+    return Poke(**options)
 
 
 def test_a_tool_moves_linearly_and_pushes_what_it_meets():
@@ -188,6 +189,33 @@ def test_a_task_with_a_noisy_cloud_passes_the_check():
             r"joint_lower is \[0.7\] and joint_upper \[0.6\]: give a lower limit below the upper one",
         ),
         ({"joint_step": jnp.array([-0.1])}, r"joint_step is \[-0.1\]: give the change per control step .*"),
+        (
+            {"joint_step": ("a",)},
+            r"joint_step is \('a',\), which is no array of real numbers: give one number for each.*",
+        ),
+        (
+            {"joint_start": 0.1},
+            "joint_start is one number: give one number for each joint, a tuple of one for one joint",
+        ),
+        (
+            {"joint_start": jnp.array([0.7])},
+            r"joint_start is \[0.7\], outside of the limits \[-0.6\] to \[0.6\], to which the first step would make .*"
+            "jump: give a start within the limits",
+        ),
+        ({"joint_start": jnp.array([-0.7])}, r"joint_start is \[-0.7\], outside of the limits .*"),
+        ({"exact_limits": "no"}, "exact_limits is 'no': give True or False"),
+        ({"scene": None}, "scene is None: give one of the class MPMScene or TetScene or ThinScene"),
+        ({"cloud": "64"}, r"cloud is '64': give PointCloud\(num_points=...\)"),
+        ({"noise": 0.1}, r"noise is .*: give reset_noise\(lower, upper\), or leave it out for none"),
+        (
+            {"rest_positions": "clay"},
+            "rest_positions is 'clay', which is no array of real numbers: give positions in .*",
+        ),
+        (
+            {"rest_positions": jnp.zeros((4, 2))},
+            r"rest_positions has shape \(4, 2\): give positions in metres, shape .*",
+        ),
+        ({"touch": {"a": 3}}, r"touch is \{'a': 3\}: give None, and wrap the task in Sensing with a Touch"),
         ({"list_every": 5}, "list_every is 5, but tetrahedra have no list of active nodes: leave it out"),
         ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
     ],
@@ -195,6 +223,23 @@ def test_a_task_with_a_noisy_cloud_passes_the_check():
 def test_impossible_numbers_say_what_to_do(changes, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         poke(**changes)
+
+
+def test_a_joint_may_start_one_step_beyond_its_limit_and_traced_joints_anywhere():
+    env = poke(joint_start=jnp.array([0.65]))
+    assert float(jax.jit(env.step)(env.reset(jax.random.key(0)), jnp.zeros(1)).obs["joint_q"][0]) == pytest.approx(0.6)
+    assert jax.jit(lambda start: poke(joint_start=start).joint_start)(jnp.array([9.0])) == 9.0
+
+
+def test_a_task_returns_what_its_methods_promise():
+    class Wrong(Poke):
+        def start(self, positions, key):
+            return positions, None
+
+    with pytest.raises(
+        ValueError, match=r"^Wrong.start returned an array of .* for the soft bodies, which must be a Tet"
+    ):
+        struct.dataclass(Wrong)(**vars(poke())).reset(jax.random.key(0))
 
 
 def test_a_joint_may_stand_still():

@@ -231,3 +231,13 @@ def test_materials_say_how_they_look(x64):
         "snow": material(plasticity=Snow), "muscle": material(fibre=np.eye(3)[0], activation=1.0),
     }  # fmt: skip
     assert all(m.look == look for look, m in looks.items())
+
+
+def test_a_law_whose_class_is_not_decorated_is_refused():
+    class Bare(Hencky):
+        """Not decorated."""
+
+    with pytest.raises(
+        ValueError, match=r"^elasticity is a Bare, which is no pytree: decorate it with rewax\.struct\."
+    ):
+        Material(density=1e3, elasticity=Bare(**vars(HENCKY)))

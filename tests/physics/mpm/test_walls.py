@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as hs
 
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls
+from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls, check_walls
 
 OPEN = (None, None, None)
 
@@ -173,3 +173,19 @@ def test_derivatives_of_nodes_that_move_straight_into_the_wall(x64, friction, sp
     gradient = jax.vjp(after, velocity)[1](move)[0]
     for got, expected in zip(gradient[::2], tangent[::2], strict=True):  # the map is symmetric here
         np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", WallKind)
+@pytest.mark.parametrize(("low", "high", "is_legal"), [(0.3, 0.1, False), (0.25, 0.25, False), (0.2, 0.2, True)])
+def test_crossed_walls_that_hold_every_node_are_refused_unless_they_slip(kind, low, high, is_legal):
+    """Two slip walls hold one axis of all nodes, which is plane strain. On a node, both leave it free."""
+    side = [(None, None, Wall(position=position, kind=kind)) for position in (low, high)]
+    walls, grid = Walls(lower=side[0], upper=side[1]), Grid(shape=(6, 6, 6), spacing=0.1)
+    if is_legal or kind is WallKind.SLIP:
+        check_walls(walls, grid)
+        return
+    sentence = (
+        rf"^walls\.lower\[2\]\.position is {low} m and walls\.upper\[2\]\.position {high} m, which together act on"
+    )
+    with pytest.raises(ValueError, match=sentence):
+        check_walls(walls, grid)

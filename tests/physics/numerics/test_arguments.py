@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.arguments import check_instance, check_integer, check_plain, real_array
+from rewax import struct
+from rewax.physics.numerics.arguments import check_instance, check_integer, check_plain, check_pytree, real_array
 
 
 @pytest.mark.parametrize("value", [0, 2.0, True, "3", None, 2**31, jnp.float32(3.0), [3]])
@@ -36,3 +37,18 @@ def test_other_types_booleans_and_text_are_refused():
     assert real_array("x", [1, 2.5], "give numbers").shape == (2,)
     with pytest.raises(ValueError, match=r"^x is 'a', which is no array of real numbers: give numbers$"):
         real_array("x", "a", "give numbers")
+
+
+def test_a_class_derived_from_a_decorated_one_must_be_decorated_too():
+    @struct.dataclass
+    class Decorated:
+        pass
+
+    class Derived(Decorated):
+        pass
+
+    check_pytree("law", Decorated())
+    with pytest.raises(
+        ValueError, match=r"^law is a Derived, which is no pytree: decorate it with rewax.struct.dataclass$"
+    ):
+        check_pytree("law", Derived())

@@ -113,6 +113,16 @@ def test_random_points_are_uniform_in_a_shape(x64, name):
         (lambda: sample(jax.random.key(0), sdf.Plane(), 3), "shape is a Plane, which has no bounds"),
         (lambda: volume(sdf.Plane()), "shape is a Plane, which has no bounds"),
         (lambda: bounding_box(SHAPES["baked"].replace(values=np.ones((3, 3, 3)))), "nowhere negative"),
+        (
+            lambda: fill(SHAPES["sphere"], 1e-6),
+            r"^spacing is 1e-06 m, which makes about .* points in the box: give a larg",
+        ),
+        (lambda: fill(SHAPES["box"], 1e-6), "^spacing is 1e-06 m, which makes about "),
+        (lambda: fill_box(CENTER, SIZE, 1e-320), "^spacing is 9.99989e-321 m, which makes about inf points in the box"),
+        (
+            lambda: sample_poisson_disk(jax.random.key(0), SHAPES["sphere"], 1e-6),
+            "^radius is 1e-06 m, which makes about .* points in the box: give a larger one, for at most 1e\\+09 points",
+        ),
         (lambda: jax.jit(lambda key: sample(key, SHAPES["sphere"], 3))(jax.random.key(0)), "key is traced"),
     ],
 )

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_shapes import Torus
 from solids import FURTHER, SHAPES, distance
 
+from rewax import struct
 from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import volume
 from rewax.physics.shapes.volumes import bounding_box
@@ -50,3 +52,14 @@ def test_bounding_radius_holds_the_shape_tightly(name):
 
 def test_shapes_without_bounds_reach_to_infinity():
     assert sdf.Plane().bounding_radius() == SHAPES["baked"].bounding_radius() == np.inf
+
+
+@pytest.mark.parametrize("corner", [-1.0, 0.0, np.nan, np.inf])
+def test_a_box_without_an_inside_or_an_end_is_refused(corner):
+    corners = -np.full(3, corner), np.array([1.0, 1.0, corner])
+    shape = struct.dataclass(type("Mine", (Torus,), {"bounding_box": lambda self: corners}))(ring=0.3, tube=0.1)
+    for fill in (bounding_box, lambda shape: sdf.fill(shape, 0.1)):
+        with pytest.raises(
+            ValueError, match=r"^the bounding box of Mine reaches from \(.*\) to \(1, 1, .*\): its upper c"
+        ):
+            fill(shape)

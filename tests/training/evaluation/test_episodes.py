@@ -158,3 +158,15 @@ def test_impossible_arguments_are_refused():
         evaluate.make_evaluate(env, evaluate.uniform_policy(env), 0)
     with pytest.raises(ValueError, match=r"actions have shape \(3, 1\): this environment needs \(4, 1\)"):
         evaluate.evaluate_actions(env, jnp.zeros((3, 1)), jax.random.key(0), 1)
+
+
+@pytest.mark.parametrize("count", [0, 1.5, "3", True])
+def test_a_number_of_episodes_is_an_integer(count):
+    policy, actions = evaluate.constant_policy(jnp.zeros(1)), jnp.zeros((5, 1))
+    for use in (
+        lambda: evaluate.make_evaluate(toys.point_mass(), policy, count),
+        lambda: evaluate.make_evaluate_in(policy, count),
+        lambda: evaluate.evaluate_actions(toys.point_mass(), actions, jax.random.key(0), count),
+    ):
+        with pytest.raises(ValueError, match=f"^num_episodes is {count!r}: give an integer of at least 1$"):
+            use()

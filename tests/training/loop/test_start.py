@@ -11,7 +11,11 @@ import pytest
 import toys
 from rich.console import Console
 
+from rewax import struct
+from rewax.agents.apg import APGConfig, make_apg
+from rewax.envs.base import ArraySpec
 from rewax.training.config import TrainConfig
+from rewax.training.loop.seeds import train_seeds
 from rewax.training.loop.train import train
 
 ENV = toys.point_mass()
@@ -125,3 +129,52 @@ def test_resuming_with_other_shapes_names_the_field_where_no_option_differs(tmp_
     match = r"holds \.bias as float32 of shape \(1,\), .* needs float32 of shape \(2,\)"
     with pytest.raises(ValueError, match=match):
         train(AGENTS[2], ENV, TrainConfig(num_iterations=1, run_dir=str(tmp_path), resume=True))
+
+
+@struct.dataclass
+class Plane(toys.PointMass):
+    """A point mass with two actions, of which the second does nothing, or with another observation."""
+
+    actions: int = struct.static_field(default=2)
+    name: str = struct.static_field(default="x")
+
+    @property
+    def action_spec(self):
+        return ArraySpec((self.actions,), -1.0, 1.0)
+
+    @property
+    def observation_spec(self):
+        return {self.name: ArraySpec((1,))}
+
+
+@pytest.mark.parametrize(
+    ("env", "sentence"),
+    [
+        (Plane(gain=0.5), "env takes actions of shape (2,), but the agent was built for (1,): give the environment of"),
+        (Plane(gain=0.5, name="y"), "env observes y (1,), but the agent was built for x (1,): give the environment of"),
+    ],
+)
+def test_an_environment_that_is_not_the_agents_is_refused_before_training(tmp_path, env, sentence):
+    agent = make_apg(ENV, APGConfig(num_envs=2, horizon=3, actor_widths=(4,), vector_features=4))
+    with pytest.raises(ValueError) as caught:
+        train(agent, env, TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run")))
+    assert str(caught.value).startswith(sentence) and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"agent": "sapo"}, "agent is 'sapo': give an agent, make_sapo(env) for example"),
+        ({"env": None}, "env is None: give an environment"),
+        ({"config": {}}, "config is {}: give a TrainConfig"),
+        ({"describe": 3}, "describe is 3: give entries of config.json by name, or None"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(tmp_path, change, sentence):
+    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"))
+    given = {"agent": AGENTS[1], "env": ENV, "config": config, "describe": None, **change}
+    for use in (train, lambda config, **rest: train_seeds(configs=[config], **rest)):
+        with pytest.raises(ValueError) as caught:
+            use(**given)
+        assert str(caught.value).startswith(sentence)
+    assert not (tmp_path / "run").exists()

@@ -109,6 +109,8 @@ def test_a_policy_with_memory_is_kept_and_loaded_too(toy, tmp_path):
     for memory in (None, first.memory):
         jax.tree.map(np.testing.assert_array_equal, loaded.act(obs, memory=memory), run.act(obs, memory=memory))
     assert not np.array_equal(run.act(obs, memory=first.memory).action, first.action)
+    with pytest.raises(ValueError, match=r"^memory has shape \(2,\): give shape \(3,\), what act returned"):
+        run.act(obs, memory=np.zeros(2))
 
 
 def test_a_task_that_has_changed_is_named_with_what_changed(shipped, monkeypatch):
@@ -122,6 +124,32 @@ def test_a_damaged_file_is_refused(shipped):
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(ValueError, match="missing or damaged: install rewax anew"):
         load_policy("ToyToShip")
+    with pytest.raises(ValueError, match=r"\.npz is missing or damaged: write it anew with save_policy"):
+        load_policy("ToyToShip", folder=policies.FOLDER)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda card: b"",
+        lambda card: b"[]",
+        lambda card: b"\xff\x00",
+        lambda card: json.dumps({name: card[name] for name in card if name != "env"}).encode(),
+        lambda card: json.dumps({name: card[name] for name in card if name != "sapo"}).encode(),
+        lambda card: json.dumps({**card, "env_kwargs": 3}).encode(),
+    ],
+)
+def test_a_damaged_card_is_refused(shipped, damage):
+    path = policies.FOLDER / "ToyToShip-small.json"
+    path.write_bytes(damage(json.loads(path.read_text())))
+    for folder, remedy in ((None, "install rewax anew"), (policies.FOLDER, "write it anew with save_policy")):
+        with pytest.raises(ValueError, match=rf"\.json is missing or damaged: {remedy}$"):
+            load_policy("ToyToShip", folder=folder)
+
+
+def test_a_name_is_no_environment_to_act_in(shipped):
+    with pytest.raises(ValueError, match=r"^env is 'ToyToShip': give an environment"):
+        load_policy("ToyToShip", env="ToyToShip")
 
 
 def test_another_network_is_refused(shipped):

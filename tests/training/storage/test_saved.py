@@ -61,6 +61,11 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
         load_run(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="no checkpoint of iteration 5"):
         load_run(run_dir, step=5)
+    for step in (1.5, "1", True):
+        with pytest.raises(ValueError, match=f"^step is {step!r}: give the iteration of a checkpoint, or None for the"):
+            load_run(run_dir, step=step)
+    with pytest.raises(ValueError, match=r"^env is 'PointMass': give an environment"):
+        load_run(run_dir, env="PointMass")
     kept = (run_dir / "config.json").read_text()
     try:
         write_config(run_dir, {**json.loads(kept), "sapo": {"horizon": 3, "patience": 2}})
@@ -79,6 +84,42 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
             load_run(run_dir)
     finally:
         (run_dir / "config.json").write_text(kept)
+
+
+OBS = {"x": np.zeros(1, np.float32)}
+
+
+@pytest.mark.parametrize(
+    ("obs", "given", "sentence"),
+    [
+        ({}, {}, "the observation has no array 'x', only nothing: give x"),
+        ({"y": 0.0}, {}, "the observation has no array 'x', only y: give x"),
+        (np.zeros(1), {}, "the observation is an array of float64 of shape (1,): give a dict of arrays by name, x,"),
+        ([0.0], {}, "the observation is a list: give a dict of arrays by name, x, as state.obs"),
+        (
+            {"x": "abc"},
+            {},
+            "'x' of the observation is 'abc', which is no array of real numbers: give an array of shape",
+        ),
+        ({"x": np.zeros(2)}, {}, "'x' of the observation has shape (2,): give shape (1,), and jax.vmap for a batch"),
+        ({"x": np.zeros((3, 1))}, {}, "'x' of the observation has shape (3, 1): give shape (1,), and jax.vmap for a"),
+        (OBS, {"key": 3}, "the key is 3: give a random key"),
+        (OBS, {"memory": np.zeros(2)}, "memory is given, but this policy has none: leave it out"),
+    ],
+)
+def test_act_takes_the_observation_of_one_environment(run, obs, given, sentence):
+    with pytest.raises(ValueError) as caught:
+        load_run(run[0]).act(obs, **given)
+    assert str(caught.value).startswith(sentence)
+
+
+def test_act_takes_further_names_lists_and_batches(run):
+    saved = load_run(run[0])
+    expected = saved.act(OBS)
+    for obs in ({**OBS, "more": np.ones(7)}, {"x": [0.0]}):
+        np.testing.assert_array_equal(saved.act(obs), expected)
+    batch = jax.vmap(saved.act)({"x": np.zeros((3, 1), np.float32)}, jax.random.split(jax.random.key(0), 3))
+    assert batch.shape == (3, *expected.shape)
 
 
 def load_again(tmp_path, env):

@@ -14,7 +14,7 @@ particle.
 """
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
@@ -22,7 +22,7 @@ from rewax import struct
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics import divided_differences as dd
-from rewax.physics.numerics.checks import Number, numbers_of
+from rewax.physics.numerics.checks import Number, numbers_of, shown
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.divided_differences import Principal
 from rewax.physics.numerics.elastic_constants import LameParameters
@@ -69,6 +69,9 @@ class Law(struct.Replaceable):
     look: ClassVar[str | None] = None
     """How viewers draw particles: "water", "muscle", "dough", "sand", "snow", "elastic"; None: another law decides."""
 
+    def _missing(self, method: str) -> NotImplementedError:
+        return NotImplementedError(f"{type(self).__name__} has no {method}: define it, see docs/your_own_law.md")
+
 
 class Elasticity(Law):
     """Stress as a function of principal stretches; also the base of ``Fluid``.
@@ -79,15 +82,15 @@ class Elasticity(Law):
 
     def moduli(self) -> LameParameters:
         """Lame parameters at small strains [Pa]. Sound speed and plastic flow use them."""
-        raise NotImplementedError(f"{type(self).__name__}.moduli")
+        raise self._missing("moduli()")
 
     def principal_stress(self, s: Stretches) -> Principal:
         """Principal Kirchhoff stresses tau_i = s_i dpsi/ds_i [Pa]."""
-        raise NotImplementedError(f"{type(self).__name__}.principal_stress")
+        raise self._missing("principal_stress(s)")
 
     def energy(self, s: Stretches) -> Array:
         """Elastic energy per rest volume psi [J/m^3], 0 at s = 1."""
-        raise NotImplementedError(f"{type(self).__name__}.energy")
+        raise self._missing("energy(s)")
 
     def sound_speed(self, density: Scalar) -> Scalar:
         """Speed of pressure waves at rest [m/s], for a rest density [kg/m^3]."""
@@ -105,11 +108,11 @@ class Fluid(Elasticity):
 
     def stress(self, J: Array, density: Scalar) -> Array:
         """Kirchhoff stress on all axes [Pa] at the volume ratio J [-]: J dpsi/dJ, minus J times the pressure."""
-        raise NotImplementedError(f"{type(self).__name__}.stress")
+        raise self._missing("stress(J, density)")
 
     def energy_of_volume(self, J: Array, density: Scalar) -> Array:
         """Elastic energy per rest volume psi [J/m^3], 0 at J = 1."""
-        raise NotImplementedError(f"{type(self).__name__}.energy_of_volume")
+        raise self._missing("energy_of_volume(J, density)")
 
 
 class Flow(NamedTuple):
@@ -150,7 +153,7 @@ class Plasticity(Law):
           moduli: moduli of the elasticity at small strains [Pa].
           memory: history variables, one array for each entry of ``initial_memory``.
         """
-        raise NotImplementedError(f"{type(self).__name__}.flow")
+        raise self._missing("flow(s, moduli, memory)")
 
     def stiffness(self, memory: tuple[Array, ...]) -> Array | None:
         """Factor on elastic stress and energy [-]; None: 1."""
@@ -174,7 +177,7 @@ class LogarithmicPlasticity(Plasticity):
 
     def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
         """Change of logarithmic strains by flow [-], and whether the particle flows, bool."""
-        raise NotImplementedError(f"{type(self).__name__}.return_map")
+        raise self._missing("return_map(log_s, moduli)")
 
     def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
         at_least = dd.maximum(s.log, math.log(self.least_stretch))
@@ -193,11 +196,11 @@ class Viscosity(Law):
 
     def stress(self, F: Mat3, velocity_gradient: Mat3) -> Mat3:
         """Kirchhoff stress [Pa] for F [-] and the velocity gradient [1/s], by components."""
-        raise NotImplementedError(f"{type(self).__name__}.stress")
+        raise self._missing("stress(F, velocity_gradient)")
 
     def dynamic_viscosity(self) -> Scalar:
         """Upper bound of the dynamic viscosity [Pa s], for the stable substep."""
-        raise NotImplementedError(f"{type(self).__name__}.dynamic_viscosity")
+        raise self._missing("dynamic_viscosity()")
 
 
 class ActiveStress(Law):
@@ -207,7 +210,7 @@ class ActiveStress(Law):
 
     def stress(self, F: Mat3) -> Mat3:
         """Kirchhoff stress [Pa] for F [-], by components."""
-        raise NotImplementedError(f"{type(self).__name__}.stress")
+        raise self._missing("stress(F)")
 
 
 def elongation_of(s: Principal, floor: Principal, change: Principal | None = None) -> Principal:
@@ -259,7 +262,7 @@ class Parameters(NamedTuple):
 
 def elastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal]:
     """Principal stresses."""
-    return (p.elasticity.principal_stress(Stretches.of(stretches(eigenvalues, p.sign))),)
+    return (_stress(p.elasticity, Stretches.of(stretches(eigenvalues, p.sign))),)
 
 
 def plastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal | Array, ...]:
@@ -268,8 +271,9 @@ def plastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal | Arra
     s = stretches(eigenvalues, p.sign)
     log_s = dd.log(dd.maximum(s, MIN_STRETCH))
     flow = p.plasticity.flow(Stretches(s, materialize(log_s)), p.elasticity.moduli(), p.memory)
+    _check_flow(p.plasticity, flow)
     flow = flow._replace(stretches=materialize(flow.stretches))
-    stress = p.elasticity.principal_stress(flow.stretches)
+    stress = _stress(p.elasticity, flow.stretches)
     stiffness = p.plasticity.stiffness(flow.memory)
     return flow.elongation, stress if stiffness is None else dd.scale(stiffness, stress), *flow.memory
 
@@ -279,3 +283,30 @@ def energy_law(eigenvalues: Principal, p: Parameters) -> tuple[Array]:
     psi = p.elasticity.energy(Stretches.of(stretches(eigenvalues, p.sign)))
     stiffness = None if p.plasticity is None else p.plasticity.stiffness(p.memory)
     return (psi if stiffness is None else stiffness * psi,)
+
+
+def _stress(elasticity: Elasticity, s: Stretches) -> Principal:
+    """Principal stresses. Raises ValueError if the law returns something else."""
+    stress = elasticity.principal_stress(s)
+    if not isinstance(stress, Principal):
+        raise ValueError(
+            f"{type(elasticity).__name__}.principal_stress returned {shown(stress)}: return a Principal, computed from "
+            "s.values and s.log with + - * / and divided_differences"
+        )
+    return stress
+
+
+def _check_flow(plasticity: Plasticity, flow: Any) -> None:
+    """Raises ValueError unless a return map gave a ``Flow`` with the memory of its law."""
+    name = type(plasticity).__name__
+    if not isinstance(flow, Flow):
+        raise ValueError(f"{name}.flow returned {shown(flow)}: return Flow(stretches, elongation, memory)")
+    for part, kind in (("stretches", Stretches), ("elongation", Principal), ("memory", (tuple, list))):
+        if not isinstance(value := getattr(flow, part), kind):
+            remedy = "a tuple of arrays" if part == "memory" else f"a {kind.__name__}"  # type: ignore[union-attr]
+            raise ValueError(f"{name}.flow returned {part} {shown(value)}: return {remedy}")
+    given, wanted = len(flow.memory), len(plasticity.initial_memory)
+    if given != wanted:
+        raise ValueError(
+            f"{name}.flow returned {given} entries of memory, but initial_memory has {wanted}: return one for each"
+        )
