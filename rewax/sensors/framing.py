@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from rewax.physics.shapes.solid import corners_of
 from rewax.sensors.camera import Camera
 from rewax.sensors.world import World
 
@@ -49,7 +50,7 @@ def framing(world: World, up: Any, **fields: Any) -> Camera:
     corners += [np.asarray(surface.vertices) for surface in world.triangles]
     for solid in world.solids:
         if solid.shape.is_bounded:
-            low, high = (np.asarray(corner, float) for corner in solid.shape.bounding_box())
+            low, high = (np.asarray(corner, float) for corner in corners_of(solid.shape))
             picks = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
             local = np.where(picks, high, low)
             corners.append(np.asarray(solid.pose.position) + local @ np.asarray(solid.pose.rotation).T)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.shapes.solid import distance_to
 from rewax.sensors.hits import Hits, Rays
 from rewax.sensors.world import NOTHING, Solid
 from rewax.struct import Structure
@@ -52,7 +53,7 @@ def _see_kind(group: list[Solid], labels: Mapping[str, int], rays: Rays, *, ever
     def normal(shape, pose) -> Vec3:
         origin, direction = _in_frame(pose, rays)
         met = jnp.where(jnp.isfinite(best), best, 0.0)
-        _, local = shape.distance(cp.vector(lambda i: origin[i] + met * direction[i]))
+        _, local = distance_to(shape, cp.vector(lambda i: origin[i] + met * direction[i]))
         rotation = cp.split_matrix(pose.rotation)
         return cp.vector(lambda i: cp.dot(rotation[i], local))
 
