@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rewax
-from rewax.envs import registry
+from rewax.envs import factories, registry
 
 NO_NUMBERS = ["abc", "", "0.001", True, False, [], {}, [1.0, 2.0], (0.1, 0.1), object(), 1 + 2j, np.zeros((2, 2)),
               np.array("x"), np.array([0.1]), float("nan"), float("inf"), -1.0, -3]  # fmt: skip
@@ -28,7 +28,7 @@ MISSPELT = {"yungs_modulus": "youngs_modulus", "DT": "dt", "num_substep": "num_s
 
 def options_of(name):
     factory = registry._FACTORIES[name]
-    found = registry._imported(name, factory if isinstance(factory, str) else factory["small"])
+    found = factories.imported(name, factory if isinstance(factory, str) else factory["small"])
     return [option for option in inspect.signature(found).parameters if option != "scale"]
 
 
