@@ -35,8 +35,13 @@ FLOAT_SIZE = (0.075, 0.05, 0.075)
 """Edges of the float [m]."""
 FLOAT_START = (0.2, 0.15, 0.2)
 """Center of the float at the beginning [m]."""
-PADDLE = (0.025, 0.06, 0.05)
+PADDLE = (0.0265, 0.0615, 0.0525)
 """Half edges of the paddle [m]. It is two cells of the coarse grid thick, so that no water passes through."""
+PADDLE_START = (0.1035, 0.2)
+"""x and z of the paddle at the beginning [m]. No node lies on its faces or has the same distance to two of them: there
+its velocity would jump with the position of the paddle."""
+_WITHOUT_WATER = (0.025, 0.06, 0.05)
+"""Half edges of the box around the paddle that no water fills at the start [m]."""
 
 
 @struct.dataclass
@@ -63,7 +68,7 @@ class SteerFloat(SoftTask):
 
     def poses(self, joint_q: Array) -> Pose:
         x, z, turn = joint_q[:, 0], joint_q[:, 1], joint_q[:, 2]
-        height = jnp.full_like(x, BASIN[1][0] + PADDLE[1])
+        height = jnp.full_like(x, BASIN[1][0] + _WITHOUT_WATER[1])
         position = jnp.stack([x, height, z], axis=-1)
         return Pose(position[:, None], turn_about_y(turn)[:, None])
 
@@ -121,9 +126,9 @@ def _steer_float(
     # A particle fills a cell of the lattice, which reaches half a cell further; those that touch are left out, whatever
     # rounding says.
     margin = 0.5 * size[0] / counts[0] + 1e-6
-    half, paddle = 0.5 * np.asarray(FLOAT_SIZE) + margin, np.asarray(PADDLE) + margin
-    joint_start = (0.1, 0.2, 0.0)
-    paddle_at = np.array([joint_start[0], floor + PADDLE[1], joint_start[1]])
+    half, paddle = 0.5 * np.asarray(FLOAT_SIZE) + margin, np.asarray(_WITHOUT_WATER) + margin
+    joint_start = (*PADDLE_START, 0.0)
+    paddle_at = np.array([joint_start[0], floor + _WITHOUT_WATER[1], joint_start[1]])
     free = (np.abs(pool - FLOAT_START) > half).any(1) & (np.abs(pool - paddle_at) > paddle).any(1)
     pool = pool[free]
     volumes = [

@@ -28,9 +28,23 @@ def test_float_and_water_fill_the_basin_without_overlap(scale):
     assert mass[: env.float_count].sum() == pytest.approx(400.0 * 0.075 * 0.05 * 0.075, rel=1e-4)
     half = 0.5 * np.asarray(steer_float.FLOAT_SIZE)
     assert (np.abs(pool - steer_float.FLOAT_START) > half).any(1).all()
-    paddle = np.array([0.1, 0.075 + steer_float.PADDLE[1], 0.2])
+    paddle = np.asarray(env.poses(jnp.asarray(env.joint_start)[None]).position)[0, 0]
     assert (np.abs(pool - paddle) > np.asarray(steer_float.PADDLE)).any(1).all()
     assert env.scene.particle_counts == (env.float_count, len(pool))
+
+
+@pytest.mark.parametrize("scale", ["paper", "small"])
+def test_no_node_lies_on_a_face_of_the_paddle_or_midway_between_two(scale):
+    """There a node's velocity would jump with the paddle, and the derivative at the start would miss it."""
+    env = make("SteerFloat", scale)
+    grid = env.scene.grid
+    nodes = grid.spacing * np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    local = np.abs(nodes - np.asarray(env.poses(jnp.asarray(env.joint_start)[None]).position)[0, 0])
+    to_faces = np.concatenate([steer_float.PADDLE - local, steer_float.PADDLE + local], axis=-1)
+    nearest = np.sort(to_faces[to_faces.min(axis=-1) > -0.5 * grid.spacing], axis=-1)
+    assert len(nearest) > 50
+    assert np.abs(nearest[:, 0]).min() > 0.02 * grid.spacing
+    assert (nearest[:, 1] - nearest[:, 0]).min() > 0.02 * grid.spacing
 
 
 def test_the_float_floats():
