@@ -104,7 +104,11 @@ class Env(Protocol):
         ...
 
     def reset(self, key: Key) -> State:
-        """The first state of an episode. Gradient: exact with respect to the parameters of the environment."""
+        """The first state of an episode.
+
+        Gradient: exact with respect to the parameters of the environment, except bounds of noise whose draws are
+          rounded (``rewax.envs.kit.start_noise``).
+        """
         ...
 
     def step(self, state: State, action: Array) -> State:
