@@ -47,6 +47,19 @@ def test_no_node_lies_on_a_face_of_the_paddle_or_midway_between_two(scale):
     assert (nearest[:, 1] - nearest[:, 0]).min() > 0.02 * grid.spacing
 
 
+def test_the_derivative_by_the_start_of_the_joints_is_that_of_differences(x64):
+    env = steer_float.small()
+    action, along = jnp.array([0.3, 0.2, -0.1]), jnp.array([0.1, 0.2, 0.3])
+
+    def reward(size):
+        moved = env.replace(joint_start=jnp.asarray(env.joint_start) + size * along)
+        return moved.step(moved.reset(jax.random.key(0)), action).reward
+
+    derivative = jax.jit(lambda: jax.jvp(reward, (0.0,), (1.0,))[1])()
+    after, before = jax.jit(jax.vmap(reward))(jnp.array([1e-6, -1e-6]))
+    np.testing.assert_allclose((after - before) / 2e-6, derivative, rtol=1e-5)
+
+
 def test_the_float_floats():
     """Left alone it stays where it is, and displaces its own weight of water: 40 % of its height."""
     end = soft_tasks.run("SteerFloat", soft_tasks.start("SteerFloat"), 0.0, 60)[-1]
